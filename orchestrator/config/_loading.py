@@ -59,7 +59,7 @@ class LoadedProcedure:
     def locating_errors(self) -> Iterator[None]:
         """Context in which errors of the procedure get file and line of their subject.
 
-        A plan is scaled by the nameplate, so questions about the nameplate are appended to the error.
+        A plan is scaled by the nameplate, so a question about the nameplate comes first: its answer mends the rest.
         """
         try:
             yield
@@ -67,9 +67,13 @@ class LoadedProcedure:
             prefix = {self.procedure.name: "", "drive": "drive."}.get(error.where)
             if prefix is None:
                 raise
-            field = prefix + error.field
-            problem = "; ".join((error.problem, *nameplate_questions(self.procedure.motor)))
-            raise type(error)(self.document.place_of(field), field.rstrip("."), problem) from None
+            field = (prefix + error.field).rstrip(".")
+            questions = list(nameplate_questions(self.procedure.motor))
+            if not questions:
+                raise type(error)(self.document.place_of(field), field, error.problem) from None
+            place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))
+            as_written = f"As it is written, {field}: {error.problem}"
+            raise type(error)(place, "", " ".join((*questions, as_written))) from None
 
 
 def load_procedure(
