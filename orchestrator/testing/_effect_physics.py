@@ -86,10 +86,11 @@ class EffectPhysicsChecks(ABC):
         size, units = largest_change(signals, here), self._units()
         allowed = 1e-6 * max(size, 1e-3)
         apart = self._difference_of_scaled(here, units)
+        off = percent(100.0 * apart / max(size, 1e-12))
         assert apart <= allowed, (
             f"on a motor of {CURRENT_SCALE:g} times the current and {VOLTAGE_SCALE:g} times the voltage, with the "
             "parameters scaled by their units, the effect should scale alike, but differs by "
-            f"{percent(100.0 * apart / max(size, 1e-12))} of its size. {self._cause_of_difference(here, units, allowed)}"
+            f"{off} of its size. {self._cause_of_difference(here, units, allowed)}"
         )
 
     def _units(self) -> dict[str, str]:
@@ -109,7 +110,7 @@ class EffectPhysicsChecks(ABC):
             if fit is not None:
                 return f"{name} is declared in {declared}, but scales like a quantity in {fit}: correct its unit"
         return (
-            f"Probably the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor "
+            "Probably the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor "
             f"(declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
         )
 
