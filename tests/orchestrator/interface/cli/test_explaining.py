@@ -42,9 +42,10 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert first.startswith(f"{diagnosed}: explained")
     assert second == "  chi2 per degree of freedom fell from 900 to 1.01; noise alone makes up to 1.08."
     rows = [" ".join(line.split()) for line in out.splitlines()]
-    assert "step move recording effects gain threshold chi2 decision" in rows
+    assert "step move recording effects gain needed chi2 outcome" in rows
     assert "2 add whole dead time 812 nat 16 nat – accepted" in rows
     assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
+    assert "screen: the fall of chi2 that each absent effect promises" in out
     assert "above 100 %" not in out
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
 
