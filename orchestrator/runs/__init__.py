@@ -2,7 +2,7 @@
 
 from orchestrator.runs._directory import RunDirectory, is_run, last_end, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, without_private
+from orchestrator.runs._opening import open_any, refuse_file, require_file_place, without_private
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 from orchestrator.runs._staging import remove_stale_staging
@@ -20,5 +20,6 @@ __all__ = [
     "provenance",
     "refuse_file",
     "remove_stale_staging",
+    "require_file_place",
     "without_private",
 ]

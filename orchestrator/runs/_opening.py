@@ -36,3 +36,11 @@ def refuse_file(path: Path) -> None:
     for place in (path, *path.parents):
         if os.path.lexists(place) and not place.is_dir():
             raise InputError(str(place), "", "is not a directory and is not overwritten: name another place")
+
+
+def require_file_place(path: Path, option: str) -> None:
+    """Raise `InputError` where no file can be written to a path: before work whose result would be lost."""
+    if path.is_dir():
+        raise InputError(option, str(path), "is a folder; expected a file to write")
+    if not path.parent.is_dir():
+        raise InputError(option, str(path), f"no such folder: {path.parent}")

@@ -83,7 +83,7 @@ def run_command(
     With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
     diagnose again.
     """
-    _check_options(log, remote, unattended)
+    _check_options(log, remote, unattended, junit)
     if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
         _announce(str(source or procedure or "demo"), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, run, run_further, run_queue
@@ -100,7 +100,11 @@ def run_command(
         return run(procedure or "demo", drive, motor, settings or [], out, audience, about)
     own = (procedure, drive, motor, settings or None, out, serial, operator, ambient, tags or None, notes or None)
     if any(option is not None for option in own):
-        raise typer.BadParameter("continues with the run's own procedure, drive and directory", param_hint="--from")
+        raise typer.BadParameter(
+            "continues a run as it is: leave out PROCEDURE, --drive, --motor, --set, --out, --serial, --operator, "
+            "--ambient, --tag and --note",
+            param_hint="--from",
+        )
     return run_further(source, rounds or 1, audience)
 
 
@@ -120,18 +124,22 @@ def resume_command(
 
     It starts at the first unmeasured point, and energises only after your confirmation.
     """
-    _check_options(log, remote, unattended)
+    _check_options(log, remote, unattended, junit)
     _announce(str(path), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, resume
 
     return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote, junit))
 
 
-def _check_options(log: str, remote: str | None, unattended: str | None) -> None:
+def _check_options(log: str, remote: str | None, unattended: str | None, junit: Path | None) -> None:
     if log not in ("text", "json"):
         raise typer.BadParameter(f"{log!r}; expected text or json", param_hint="--log")
     if remote is not None and unattended is not None:
         raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
+    if junit is not None:
+        from orchestrator.runs import require_file_place
+
+        require_file_place(junit, "--junit")
 
 
 @commands.command("check", epilog="Example: fluxbench check demo --motor motor.yaml")

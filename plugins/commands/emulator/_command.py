@@ -85,7 +85,7 @@ def emulate(
     from protocols import InputError
 
     if (serial is None) == (can is None):
-        raise InputError("fluxbench emulate", "", "give either --serial PATH or --can INTERFACE:CHANNEL")
+        raise InputError("emulate", "", "give either --serial PATH or --can INTERFACE:CHANNEL")
     options, nameplate = _plant(motor, settings or (), watchdog)
     pace = _speed(speed)
     journal = no_log if log is None else JsonLines(log)

@@ -38,7 +38,7 @@ def mystery(
     from plugins.commands.mystery._guessing import caused_effects, judge, read_guess, sealed_effects
 
     if number < 0:
-        raise InputError("fluxbench mystery", str(number), WHOLE)
+        raise InputError("NUMBER", str(number), WHOLE)
     if out is not None and not out.name:
         raise InputError("--out", "", "expected a separate folder")
     path = out if out is not None else Path("runs") / f"mystery-{number}"
@@ -73,7 +73,7 @@ def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
     if negative is not None:  # otherwise it would be parsed as an option
-        raise InputError("fluxbench mystery", negative, WHOLE)
+        raise InputError("NUMBER", negative, WHOLE)
     return entry_point(mystery, "Example: fluxbench mystery 4")(arguments)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -38,8 +39,11 @@ def probe(
         missing_package,
         serial_line,
     )
-    from protocols import DriveError
+    from protocols import DriveError, InputError
 
+    missing = next((port for port in serial or () if port.startswith("/") and not Path(port).exists()), None)
+    if missing is not None:
+        raise InputError("--serial", missing, "no such port; `fluxbench probe` alone looks on all")
     named = [serial_line(port, baud_rate) for port in serial or ()]
     named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
     drives: list[Found] = []

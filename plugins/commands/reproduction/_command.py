@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from plugins.command_line import entry_point
+from protocols import InputError
 
 
 def reproduce(
@@ -22,10 +23,13 @@ def reproduce(
     from orchestrator.config import load_procedure
     from orchestrator.engine import AbsentOperator, RunServices, handling_signals, start_run
     from orchestrator.formatting.sentences import shown
+    from orchestrator.runs import RunDirectory, is_run
     from plugins.commands.reproduction._material import collect
     from plugins.commands.reproduction._page import write_page
 
-    if not (run / "run.json").is_file():
+    if is_run(run) and RunDirectory.open(run).record.procedure.name != "paper":
+        raise InputError("--run", str(run), "is a run of another procedure; name a new folder, or one of this command")
+    if not is_run(run):
         with handling_signals() as interrupts:
             result = start_run(load_procedure("paper"), run, RunServices(AbsentOperator(), interrupts, {"console": {}}))
         if result.outcome.error is not None:

@@ -15,7 +15,7 @@ import typer
 
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import entry_point
-from protocols import FluxbenchError, RecordingError
+from protocols import FluxbenchError, InputError, PluginError, RecordingError
 
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
@@ -48,6 +48,11 @@ def view(
     """See a run: while it happens, or afterwards; or several side by side."""
     from orchestrator.recording import require_recording
 
+    of_run = len(paths) == 1 and paths[0].suffix != SUFFIX  # other views have tabs of their own
+    if of_run and tab is not None and tab not in TABS:
+        raise InputError("--tab", tab, f"no such tab; there are {', '.join(map(repr, TABS))}")
+    if screenshot is not None and screenshot.suffix != ".png":
+        raise InputError("--screenshot", str(screenshot), "expected a file that ends in .png")
     for path in paths:
         if not path.exists():
             require_recording(path)
@@ -219,10 +224,17 @@ def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
 
 def _picture(file: Path, to: Path, tab: str | None) -> int:
     from orchestrator.recording import replace_file
+    from orchestrator.runs import require_file_place
     from plugins.streams.rerun._shooting import headless_viewer, shoot
 
-    with headless_viewer() as viewer:
-        shots = shoot(viewer, file, tab, most=1 if tab is None else None)
+    require_file_place(to, "--screenshot")
+    try:
+        with headless_viewer() as viewer:
+            shots = shoot(viewer, file, tab, most=1 if tab is None else None)
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise PluginError("stream rerun", "viewer", f"ended before the picture was drawn ({error})") from error
     replace_file(to, shots[0].png)
     print(shown(str(to)))
     return 0

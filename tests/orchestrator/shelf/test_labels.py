@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.shelf import relabel, save_labels
-from protocols import RecordingError, RunLabels
+from protocols import InputError, RecordingError, RunLabels
 from tests.orchestrator.shelf.example_runs import a_run
 
 
@@ -23,6 +23,12 @@ def test_labels_are_added_and_removed_and_kept_in_the_folder(tmp_path: Path) -> 
         "tags": ["returned"],
         "notes": ["first", "a; b\nc"],
     }
+
+
+def test_a_tag_to_remove_has_to_be_there(tmp_path: Path) -> None:
+    folder = a_run(tmp_path / "one", about={"tags": ["cold"]})
+    with pytest.raises(InputError, match="warm: no such tag to remove; it has cold"):
+        relabel(folder, untag=["warm"])
 
 
 def test_all_labels_may_be_taken_away(tmp_path: Path) -> None:

@@ -59,6 +59,25 @@ from orchestrator.interface.cli._usage import EXAMPLE
             "diagnose runs/first --material-flux -1",
             "--material-flux: expected a number from 0 on, got '-1'; for example: --material-flux 0",
         ),
+        (
+            "benchmark",
+            "fluxbench benchmark: expected a command: make, run, score; `fluxbench benchmark --help` describes them",
+        ),
+        (
+            "run demo --junit nowhere/x.xml",
+            "--junit: nowhere/x.xml: no such folder: nowhere",
+        ),
+        (
+            "run demo --from runs/first",
+            "--from: continues a run as it is: leave out PROCEDURE, --drive, --motor, --set, --out, --serial, "
+            "--operator, --ambient, --tag and --note",
+        ),
+        ("schema motor x", "schema: x: a name goes with `schema drive` alone; `schema motor` needs none"),
+        ("probe --serial /dev/nosuch", "--serial: /dev/nosuch: no such port; `fluxbench probe` alone looks on all"),
+        (
+            "export model.json --out pyproject.toml",
+            "pyproject.toml: is not a directory and is not overwritten: name another place",
+        ),
         ("diagnoze runs/first", "No such command 'diagnoze'. Did you mean 'diagnose'?"),
     ],
 )
