@@ -24,18 +24,24 @@ def commission(
     until: Annotated[
         str, typer.Option(help="Half of the map's 95 % band, in percent of the rated flux.", metavar="P%")
     ] = "0.2%",
-    drive: Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")] = None,
+    drive: Annotated[
+        str | None, typer.Option(help="Use this drive instead of the procedure's.", metavar="NAME")
+    ] = None,
     motor: Annotated[
-        Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).")
+        Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).", metavar="FILE")
     ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting of the procedure.", metavar="K=V")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.", metavar="FOLDER")
+    ] = None,
     unattended: Annotated[
         str | None, typer.Option(help='"I have made the bench safe": no operator is present.', metavar="WORDS")
     ] = None,
-    serial: Annotated[str | None, typer.Option(help="The motor's serial number; stored with the run.")] = None,
+    serial: Annotated[
+        str | None, typer.Option(help="The motor's serial number; stored with the run.", metavar="NUMBER")
+    ] = None,
     queue: Annotated[
         bool, typer.Option("--queue", help="Run motor after motor; ask for each one's serial number.")
     ] = False,

@@ -40,7 +40,8 @@ def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: 
 @commands.command("run", epilog="Example: fluxbench run demo --out runs/first --set limits.current_a=4.8")
 def run_command(
     procedure: Annotated[
-        str | None, typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo")
+        str | None,
+        typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo", metavar="PROCEDURE"),
     ] = None,
     drive: DriveOption = None,
     motor: MotorOption = None,
@@ -48,16 +49,24 @@ def run_command(
     out: Annotated[
         Path | None, typer.Option(help="New folder for the run; by default runs/<name>-<time>.", metavar="FOLDER")
     ] = None,
-    serial: Annotated[str | None, typer.Option(help="The motor's serial number; stored with the run.")] = None,
-    operator: Annotated[str | None, typer.Option(help="The operator's name; stored with the run.")] = None,
+    serial: Annotated[
+        str | None, typer.Option(help="The motor's serial number; stored with the run.", metavar="NUMBER")
+    ] = None,
+    operator: Annotated[
+        str | None, typer.Option(help="The operator's name; stored with the run.", metavar="NAME")
+    ] = None,
     ambient: Annotated[float | None, typer.Option(help="Ambient temperature [C]; stored with the run.")] = None,
-    tags: Annotated[list[str] | None, typer.Option("--tag", help="Search tag of the run (may be repeated).")] = None,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", help="Search tag of the run (may be repeated).", metavar="TAG")
+    ] = None,
     notes: Annotated[
-        list[str] | None, typer.Option("--note", help="A note, stored with the run (may be repeated).")
+        list[str] | None, typer.Option("--note", help="A note, stored with the run (may be repeated).", metavar="TEXT")
     ] = None,
     source: Annotated[
         Path | None,
-        typer.Option("--from", help="Continue this run: measure the experiment that its diagnosis proposes."),
+        typer.Option(
+            "--from", help="Continue this run: measure the experiment that its diagnosis proposes.", metavar="RUN"
+        ),
     ] = None,
     rounds: Annotated[
         int | None, typer.Option(min=1, max=10, help="With --from: maximum number of experiments.", show_default="1")

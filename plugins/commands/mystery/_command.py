@@ -26,10 +26,15 @@ WHOLE = "expected a whole number from 0 on"
 def mystery(
     number: Annotated[int, typer.Argument(help="Number of the mystery; the same number gives the same motor.")],
     guess: Annotated[
-        str | None, typer.Option(help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.")
+        str | None,
+        typer.Option(
+            help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.", metavar="EFFECTS"
+        ),
     ] = None,
     reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
-    out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The run directory; by default runs/mystery-N.", metavar="FOLDER")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the next command alone.")] = False,
     as_json: AsJson = False,
 ) -> int:

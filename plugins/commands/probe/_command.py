@@ -19,7 +19,8 @@ NO_RIPPLE = "not demodulated on the drive"
 
 def probe(
     serial: Annotated[
-        list[str] | None, typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.")
+        list[str] | None,
+        typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.", metavar="PORT"),
     ] = None,
     can: Annotated[
         list[str] | None,

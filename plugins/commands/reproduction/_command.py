@@ -12,8 +12,12 @@ from protocols import InputError
 
 
 def reproduce(
-    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.")] = Path("runs/paper"),
-    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("runs/paper-page"),
+    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.", metavar="RUN")] = Path(
+        "runs/paper"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.", metavar="FOLDER")] = Path(
+        "runs/paper-page"
+    ),
     literal: Annotated[
         bool,
         typer.Option("--literal", help="Write a second page: the paper's own evaluation and its sources of error."),

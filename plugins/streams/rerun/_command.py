@@ -41,8 +41,10 @@ def view(
     ],
     web: Annotated[bool, typer.Option("--web", help="Open in the browser; always so without a display.")] = False,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the viewer, or of its page.")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Write a picture to this file and open nothing.")] = None,
-    tab: Annotated[str | None, typer.Option(help=TAB_HELP)] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(help="Write a picture to this file and open nothing.", metavar="FILE")
+    ] = None,
+    tab: Annotated[str | None, typer.Option(help=TAB_HELP, metavar="NAME")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a folder's table as JSON only.")] = False,
 ) -> int:
     """See a run: while it happens, or afterwards; or several side by side."""

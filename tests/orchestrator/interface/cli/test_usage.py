@@ -117,3 +117,10 @@ def test_the_example_of_each_command_names_it_and_all_that_it_needs() -> None:
             assert len(words) >= sum(p.required for p in command.params), call
             seen += 1
     assert seen > 30
+
+
+def test_an_option_that_may_be_repeated_names_its_value_instead_of_a_python_type() -> None:
+    for path, application in applications():
+        for call, command in commands(typer.main.get_command(application), path):
+            unnamed = [p.opts for p in command.params if p.multiple and p.metavar is None]
+            assert not unnamed, f"{call}: {unnamed}"
