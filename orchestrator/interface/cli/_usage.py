@@ -28,7 +28,7 @@ def usage_line(error: Any) -> str:
     context, parameter, kind = getattr(error, "ctx", None), getattr(error, "param", None), type(error).__name__
     if kind == "BadOptionUsage":
         return f"{error.option_name}: expected a value after it"
-    if kind == "NoArgsIsHelpError":
+    if kind == "NoArgsIsHelpError" and context is not None:
         names = ", ".join(getattr(context.command, "commands", {}))
         return f"{context.command_path}: expected a command: {names}; `{context.command_path} --help` describes them"
     if parameter is None:
