@@ -243,6 +243,8 @@ def _validated(document: Document, rated_fields: Mapping[KeyPath, str]) -> Proce
     text = problem.text
     if problem.is_missing and problem.path in rated_fields:
         text += f": give it, or motor.{rated_fields[problem.path]}, from which it follows"
+    if problem.is_missing and problem.path == ("format",):
+        text += "; a procedure begins with `format: fluxbench-procedure` (`fluxbench procedures demo` prints one)"
     raise ProcedureError(document.place(problem.path), problem.field, text)
 
 
