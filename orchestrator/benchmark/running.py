@@ -49,7 +49,7 @@ def read_answers(file: Path) -> dict[str, BenchmarkAnswer]:
     except FileNotFoundError:
         raise InputError(str(file), "", "is not there; expected a file of answers, a line of JSON for each") from None
     except (OSError, UnicodeDecodeError):
-        raise InputError(str(file), "", "cannot be read as a text") from None
+        raise InputError(str(file), "", "cannot be read as a text; expected a file of answers") from None
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue

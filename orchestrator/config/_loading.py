@@ -14,9 +14,10 @@ from pydantic import ValidationError
 
 from orchestrator.config._rated_limits import RATED_FIELDS, MotorLimits, add_rated_limits
 from orchestrator.config._slips import nameplate_questions
+from orchestrator.recording import has_recording
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.stages import parse_stages
-from orchestrator.validation.messages import KeyPath, first_problem, suggestion
+from orchestrator.validation.messages import KeyPath, first_problem, nearest, suggestion
 from orchestrator.validation.plausibility import implausible
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, apply_override, parse_document, read_document
@@ -58,7 +59,7 @@ class LoadedProcedure:
     def locating_errors(self) -> Iterator[None]:
         """Context in which errors of the procedure get file and line of their subject.
 
-        A plan is scaled by the nameplate, so questions about the nameplate are appended to the error.
+        A plan is scaled by the nameplate, so a question about the nameplate comes first: its answer mends the rest.
         """
         try:
             yield
@@ -66,9 +67,13 @@ class LoadedProcedure:
             prefix = {self.procedure.name: "", "drive": "drive."}.get(error.where)
             if prefix is None:
                 raise
-            field = prefix + error.field
-            problem = "; ".join((error.problem, *nameplate_questions(self.procedure.motor)))
-            raise type(error)(self.document.place_of(field), field.rstrip("."), problem) from None
+            field = (prefix + error.field).rstrip(".")
+            questions = list(nameplate_questions(self.procedure.motor))
+            if not questions:
+                raise type(error)(self.document.place_of(field), field, error.problem) from None
+            place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))
+            as_written = f"As it is written, {field}: {error.problem}"
+            raise type(error)(place, "", " ".join((*questions, as_written))) from None
 
 
 def load_procedure(
@@ -152,14 +157,17 @@ def _read(source: str) -> Document:
     if source in shipped_procedures():
         return parse_document(shipped_procedure(source), f"{source}.yaml (shipped)")
     path = Path(source)
+    if has_recording(path):
+        problem = "is a run or recording, not a procedure; `fluxbench run --from` measures what its diagnosis proposes"
+        raise ProcedureError(source, "", problem)
     if path.suffix in (".yaml", ".yml") or path.name != source or _is_file(path):
         document = read_document(path, ProcedureError)
         if "motor" in document.data and not {"format", "stages"} & document.data.keys():
             raise ProcedureError(source, "", f"a motor file instead of a procedure: give it as demo --motor {source}")
         return document
-    names = shipped_procedures()
-    problem = f"neither a file nor a shipped procedure ({', '.join(names)}); {suggestion(source, names)}"
-    raise ProcedureError(source, "", problem)
+    listed, near = f"a shipped procedure ({', '.join(shipped_procedures())})", nearest(source, shipped_procedures())
+    hint = "" if near is None else f"; did you mean {near!r}?"
+    raise ProcedureError(source, "", f"neither a YAML file nor {listed}{hint}")
 
 
 def _is_file(path: Path) -> bool:
@@ -235,6 +243,8 @@ def _validated(document: Document, rated_fields: Mapping[KeyPath, str]) -> Proce
     text = problem.text
     if problem.is_missing and problem.path in rated_fields:
         text += f": give it, or motor.{rated_fields[problem.path]}, from which it follows"
+    if problem.is_missing and problem.path == ("format",):
+        text += "; a procedure begins with `format: fluxbench-procedure` (`fluxbench procedures demo` prints one)"
     raise ProcedureError(document.place(problem.path), problem.field, text)
 
 

@@ -217,7 +217,9 @@ def remove_effect(
     saved = read_model(directory) if has_model(directory) else None
     have = [] if saved is None else [*_causes(saved), *_without_rung(saved)]
     if saved is None or name not in have:
-        raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
+        raise PluginError(
+            str(directory / MODEL_NAME), name, f"not in the model; it has {', '.join(have) or 'no effects'}"
+        )
     return _removed(recording, name, effects, saved, out, tell)
 
 

@@ -18,7 +18,7 @@ from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
 from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
-from orchestrator.recording import read_model
+from orchestrator.recording import MANIFEST_NAME, RUN_FILE, read_model, require_recording
 from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_text
 from protocols import FluxMap, InputError
 
@@ -56,18 +56,25 @@ def read_map(path: Path) -> MapFile:
     ------
     InputError
         Where the file is missing, of another kind, or holds no flux map; `UnknownLayoutError` where a mapping may help.
+    RecordingError
+        Where a directory has no map and is no recording, or a file is part of a recording instead.
     """
     if path.is_dir():
         if not (path / RECOMMENDED_MAP).is_file():
-            problem = "no such file; `fluxbench estimate` makes it, or notes which stages it lacks"
+            require_recording(path)
+            problem = f"no such file; `fluxbench estimate {path}` makes it, or notes which stages it lacks"
             raise InputError(str(path), str(RECOMMENDED_MAP), problem)
         return MapFile(_read_netcdf(path / RECOMMENDED_MAP))
     if path.suffix == ".json":
+        if path.name in (RUN_FILE, MANIFEST_NAME):
+            require_recording(path)
         from orchestrator.diagnosis import flux_map_of  # a late import, because it compiles
 
         return MapFile(flux_map_of(read_model(path)))
     readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
     if path.suffix not in (*readers, *_TABLES, ".nc", ".yaml", ".yml"):
+        if not path.exists() and not path.suffix:
+            require_recording(path)
         raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file")
     if not path.is_file():
         raise InputError(str(path), "", "no such file")

@@ -10,9 +10,9 @@ from orchestrator.formatting.quantities import UNKNOWN, number, percent, probabi
 from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
 
-SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "threshold", "chi2", "decision")
+SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "needed", "chi2", "outcome")
 BASIS_HEAD = (
-    "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "moves",
+    "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "steps",
     "indistinguishable from",
 )  # fmt: skip
 LOG_EVIDENCE_SCALE = (
@@ -20,25 +20,75 @@ LOG_EVIDENCE_SCALE = (
 )
 _MOVE_NAMES: Mapping[str, str] = {"free_shape": "fit its shape", "fix_shape": "hold its shape"}
 """Moves whose names in `diagnosis.json` are not plain words."""
+_OUTCOMES: Mapping[tuple[str, str], str] = {
+    ("screen", "tested"): "refitted next",
+    ("screen", "rejected"): "too small",
+    ("refit", "tested"): "compared",
+}
+"""Decisions of `diagnosis.json` that mean something of their own in a move."""
+_MOVE_MEANINGS: Mapping[str, str] = {
+    "screen": "the fall of chi2 that each absent effect promises, without a fit; below a tenth of the misfit that is "
+    "left, or within chance, none is tried",
+    "refit": "a fit with one of these effects each; the one of the largest gain is added next",
+    "full_model": "all effects of the library at once; those that nothing requires are removed again",
+    "swap": "one effect in place of another",
+    "merge": "two effects that the recording does not separate become one",
+    "free_shape": "the form of an effect's curve is fitted, too",
+    "fix_shape": "the form of an effect's curve is held",
+    "switch_form": "the other form of an effect",
+    "finer_map": "more detail of the flux map",
+    "coarser_map": "less detail of the flux map",
+    "noise": "scatter between segments, or the model's own error, as noise",
+    "quantiser": "the rounding of the PWM timer",
+    "switching_ripple": "the current's ripple within a carrier period",
+    "name": "an effect of the model as a cause in the report",
+}
+"""Of the moves whose names do not say it, for a legend."""
+_MEASURE_MEANINGS: Mapping[str, str] = {
+    "chi2": "Δchi2: fall of the squared error over the noise's variance, summed over all samples",
+    "objective": "Δchi2: fall of the squared error over the noise's variance, summed over all samples",
+    "log_evidence": "nat: rise of the log evidence; 3 nat are odds of 20 to 1, 16 nat of 9 million to 1",
+    "chi2_per_dof": "chi2: its value after the move, per degree of freedom; it has to stay below what is needed",
+    "block_scatter": "%: scatter of the effect's size between parts of the recording; above the limit it is no cause",
+    "share": "%: part of the first model's error",
+}
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 
 
 def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
-    """The steps of a search: number, move, part or whole of the recording, effects, gain, threshold, chi2, decision."""
+    """The steps of a search: number, move, part or whole of the recording, effects, gain, needed, chi2, outcome."""
     return [
         (
             str(event.step),
-            _MOVE_NAMES.get(event.move, plain(event.move)),
+            _move_name(event.move),
             event.data,
             _names(event) if event.effects else event.note or UNKNOWN,
             _scored(event.score, event.measure),
             _scored(event.threshold, event.measure),
             " → ".join(number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None) or UNKNOWN,
-            event.decision + (f": {event.note}" if event.effects and event.note else ""),
+            _outcome(event),
         )
         for event in events
     ]
+
+
+def search_legend(events: Sequence[SearchEvent]) -> list[str]:
+    """The meaning of the moves and gains that occur in a search, a line each."""
+    moves = dict.fromkeys(event.move for event in events if event.move in _MOVE_MEANINGS)
+    gains = dict.fromkeys(
+        _MEASURE_MEANINGS[event.measure] for event in events if event.measure and event.score is not None
+    )
+    return [*(f"{_move_name(move)}: {_MOVE_MEANINGS[move]}" for move in moves), *gains]
+
+
+def _outcome(event: SearchEvent) -> str:
+    outcome = _OUTCOMES.get((event.move, event.decision), event.decision)
+    return f"{outcome}: {event.note}" if event.effects and event.note else outcome
+
+
+def _move_name(move: str) -> str:
+    return _MOVE_NAMES.get(move, plain(move))
 
 
 def search_lines(events: Sequence[SearchEvent]) -> list[str]:
@@ -49,7 +99,7 @@ def search_lines(events: Sequence[SearchEvent]) -> list[str]:
         where = " on a part of the recording" if data == "part" else ""
         parts = [f"{step}. {move}{where}" + (f": {effects}" if effects != UNKNOWN else "")]
         if event.score is not None:
-            parts.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
+            parts.append(f"gain {gain}" + ("" if event.threshold is None else f" (needed {threshold})"))
         parts += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
         lines.append("; ".join([*parts, decision]))
     return lines
@@ -106,5 +156,5 @@ def _scored(value: float | None, measure: SearchMeasure | None) -> str:
     if measure in ("block_scatter", "share"):
         return percent(100.0 * value)
     # For large values, digits after the point decide nothing.
-    text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3)
+    text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3, power_from=1e5)
     return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"Δchi2 {text}")

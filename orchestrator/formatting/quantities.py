@@ -135,12 +135,12 @@ def quantity(value: float | None, unit: str, digits: int = 3) -> str:
     return _with_unit(number(value / 10.0**power, digits), printed)
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """So many significant digits, and all digits before the point; a power of ten for extreme values."""
+def number(value: float | None, digits: int = 4, power_from: float = 1e7) -> str:
+    """So many significant digits, and all before the point; a power of ten from `power_from` on, and below 1e-4."""
     if value is None:
         return UNKNOWN
     size = abs(value)
-    if size and not 1e-4 <= size < 1e7:
+    if size and not 1e-4 <= size < power_from:
         mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
         return f"{_minus(_trimmed(mantissa))}·10{str(int(power)).translate(_SUPERSCRIPT)}"
     return _minus(_trimmed(f"{value + 0.0:.{decimals_of(value, digits)}f}"))

@@ -25,9 +25,13 @@ _ASCII = str.maketrans(
         "→": "->",
         "±": "+-",
         "·": "*",
-        "²": "^2",
+        "°": " deg",
+        "√": "sqrt ",
+        "ψ": "psi",
     }
 )
+_EXPONENT = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+")
+_PLAIN_DIGITS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _POWER = re.compile(r"(?<![\w.])(\d(?:\.\d+)?)e[+-]?\d+\b")
 _REPLACED = (
     (re.compile(r"\+-|\+/-"), "±"),
@@ -97,7 +101,10 @@ def can_print(output: TextIO) -> bool:
 def for_output(text: str, output: TextIO) -> str:
     """The text in the output's encoding, without control characters."""
     text = visible(text)
-    return text if can_print(output) else text.translate(_ASCII).encode("ascii", "replace").decode("ascii")
+    if can_print(output):
+        return text
+    text = _EXPONENT.sub(lambda digits: "^" + digits[0].translate(_PLAIN_DIGITS), text)
+    return text.translate(_ASCII).encode("ascii", "replace").decode("ascii")
 
 
 def columns(lines: Sequence[Sequence[str]], numbers: bool = False) -> list[str]:

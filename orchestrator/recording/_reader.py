@@ -22,6 +22,7 @@ from orchestrator.recording._columns import (
 )
 from orchestrator.recording._files import capture_path
 from orchestrator.recording._json import MANIFEST_NAME, read_manifest
+from orchestrator.recording._places import require_recording
 from orchestrator.validation.memory import require_memory
 from protocols import Capture, Manifest, RealArray, RecordingError, Segment, SegmentStage
 
@@ -114,8 +115,7 @@ def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None
         does not have the columns and rows that it should.
     """
     directory = path.parent if path.name == MANIFEST_NAME else path
-    if not directory.is_dir():
-        raise RecordingError(str(directory), "", "no such directory")
+    require_recording(directory)
     is_run = all((directory / name).is_file() for name in ("journal.jsonl", "run.json"))
     if is_run and not (directory / MANIFEST_NAME).exists():
         if make_manifest is None:
@@ -125,8 +125,6 @@ def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None
                 "not written yet, the run was cut short: `fluxbench resume` or `fluxbench estimate` makes it",
             )
         make_manifest(directory)
-    if not (directory / MANIFEST_NAME).exists():
-        raise RecordingError(str(directory), "", f"not a run or recording: it has no {MANIFEST_NAME}")
     manifest = read_manifest(directory / MANIFEST_NAME)
     for segment in manifest.segments:
         _check_file(capture_path(directory, segment.id), segment)

@@ -144,7 +144,8 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     """
     specification = importlib.util.spec_from_file_location(f"effects_of_{path.stem}", path)
     if specification is None or specification.loader is None or not path.is_file():
-        raise PluginError(str(path), "", "expected a Python file with effects")
+        problem = "expected a Python file (.py) with effects" if path.exists() else "no such file"
+        raise PluginError(str(path), "", f"{problem}; `fluxbench new effect NAME` makes one")
     module = importlib.util.module_from_spec(specification)
     # Dataclasses look their module up by its name.
     sys.modules[module.__name__] = module

@@ -2,7 +2,7 @@
 
 from orchestrator.runs._directory import RunDirectory, is_run, last_end, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, without_private
+from orchestrator.runs._opening import open_any, refuse_file, require_file_place, without_private
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 from orchestrator.runs._staging import remove_stale_staging
@@ -19,7 +19,7 @@ __all__ = [
     "private_directory",
     "provenance",
     "refuse_file",
-    "refuse_folder_of_runs",
     "remove_stale_staging",
+    "require_file_place",
     "without_private",
 ]

@@ -26,6 +26,7 @@ from orchestrator.recording import (
     read_manifest,
     remove_partial_files,
     replace_file,
+    require_recording,
     write_json,
     write_manifest,
 )
@@ -181,7 +182,8 @@ class RunDirectory:
         """Open an existing run; raises `RecordingError` where there is none or `run.json` is damaged."""
         file = path / _RECORD
         if not file.is_file():
-            raise RecordingError(str(path), _RECORD, "missing: not a run directory")
+            require_recording(path)
+            raise RecordingError(str(path), "", f"is a recording, not a run: it has no {_RECORD}; name a run")
         raw = _read_json(file)
         try:
             record = RunRecord.model_validate(raw)

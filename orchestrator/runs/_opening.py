@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
+from orchestrator.recording import MANIFEST_NAME, Recording, open_recording, require_recording
 from orchestrator.runs._directory import RunDirectory, is_private, is_run
 from orchestrator.runs._staging import remove_stale_staging
 from protocols import InputError, RecordingError
@@ -14,25 +14,16 @@ from protocols import InputError, RecordingError
 
 def open_any(path: Path, *, keep: bool = False) -> Recording:
     """Open a recording or run; a run's manifest comes from its journal, and with `keep` it is written too."""
-    if path.exists() and not path.is_dir() and path.name != MANIFEST_NAME:
-        raise RecordingError(str(path), "", "is a file; expected the directory of a recording or run")
+    require_recording(path)
     manifest = path / MANIFEST_NAME
     if manifest.exists() and not manifest.is_file():
         raise RecordingError(str(manifest), "", "is not a plain file")
     if not is_run(path):
-        refuse_folder_of_runs(path)
         return open_recording(path)
     run = RunDirectory.open(path)
     for folder in (run.path, run.path / "results"):
         remove_stale_staging(folder)
     return Recording(run.path, run.write_manifest() if keep else run.manifest())
-
-
-def refuse_folder_of_runs(path: Path) -> None:
-    """Raise `RecordingError` where a directory holds runs, and is none itself."""
-    if not is_run(path) and not (path / MANIFEST_NAME).exists() and any(path.glob("*/run.json")):
-        problem = f"a folder of runs, not a run; `fluxbench runs --folder {path}` lists them"
-        raise RecordingError(str(path), "", problem)
 
 
 def without_private(paths: Sequence[Path]) -> list[Path]:
@@ -45,3 +36,11 @@ def refuse_file(path: Path) -> None:
     for place in (path, *path.parents):
         if os.path.lexists(place) and not place.is_dir():
             raise InputError(str(place), "", "is not a directory and is not overwritten: name another place")
+
+
+def require_file_place(path: Path, option: str) -> None:
+    """Raise `InputError` where no file can be written to a path: before work whose result would be lost."""
+    if path.is_dir():
+        raise InputError(option, str(path), "is a folder; expected a file to write")
+    if not path.parent.is_dir():
+        raise InputError(option, str(path), f"no such folder: {path.parent}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.recording import read_json, write_json
 from orchestrator.runs import RunDirectory
-from protocols import About, RunLabels
+from protocols import About, InputError, RunLabels
 
 LABELS_NAME = "labels.json"
 
@@ -34,11 +34,15 @@ def relabel(
     ------
     RecordingError
         Where there is no run, or its labels are damaged.
+    InputError
+        Where a tag to remove is none of the run's.
     StorageError
         Where they cannot be written.
     """
     before = load_labels(folder, RunDirectory.open(folder).record.procedure.about)
     removed = set(untag)
+    for tag in removed - set(before.tags):
+        raise InputError(str(folder), tag, f"no such tag to remove; it has {', '.join(before.tags) or 'none'}")
     kept = dict.fromkeys((*(tag for tag in before.tags if tag not in removed), *tags))
     labels = RunLabels(tags=tuple(kept), notes=(*before.notes, *notes))
     if labels != before:

@@ -58,7 +58,9 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
 
     def test_neutral_values_change_nothing(self) -> None:
         change = largest_change(self.signals(), self._corrected(self._values("neutral")))
-        assert change <= self._unseen(), f"the neutral values change a signal by {change:.2g} of its size"
+        assert change <= self._unseen(), (
+            f"with every parameter at its neutral value a signal changes by {change:.2g} of its size; expected none"
+        )
 
     def _unseen(self) -> float:
         """Change that counts as none: a neutral value that is a bound only comes near to it."""
@@ -70,12 +72,18 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
         parameters = self.make_effect().Parameters.declared()
         silenced = {p.name: p.neutral for p in parameters if p.role is ParameterRole.AMPLITUDE}
         change = largest_change(self.signals(), self._corrected(self._values("typical") | silenced))
-        assert change <= self._unseen(), f"with neutral amplitudes, shapes alone change a signal by {change:.2g}"
+        assert change <= self._unseen(), (
+            f"with all amplitudes neutral and the shapes typical a signal changes by {change:.2g} of its size: only an "
+            "amplitude may make the effect appear"
+        )
 
     def test_typical_values_show(self) -> None:
         """By a millionth at least of the largest value of a signal that they act on."""
         change = largest_change(self.signals(), self._corrected(self._values("typical")))
-        assert change >= 1e-6, f"the typical values change no signal by more than {change:.2g} of its size"
+        assert change >= 1e-6, (
+            f"with typical values no signal changes by more than {change:.2g} of its size, at least 1e-6 is expected: "
+            "the typical values are too small, or override signals() with some in which the effect shows"
+        )
 
     def test_input_is_not_modified(self) -> None:
         effect, signals = self.make_effect(), self.signals()
@@ -84,7 +92,9 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
             getattr(signals, name).flags.writeable = False
         effect.correct(signals, effect.Parameters(**self._values("typical")))
         changed = [name for name in SIGNAL_ARRAYS if getattr(signals, name).tobytes() != before[name]]
-        assert not changed, f"modified in place: {changed}"
+        assert not changed, (
+            f"correct() modified its input in place: {', '.join(changed)}; return new arrays in the Correction"
+        )
 
     def test_same_input_gives_the_same_output(self) -> None:
         effect, signals = self.make_effect(), self.signals()
@@ -92,7 +102,9 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
         first = signals.corrected(effect.correct(signals, parameters))
         effect.correct(exciting_signals(seed=7), parameters)
         second = signals.corrected(effect.correct(signals, parameters))
-        assert largest_change(first, second) == 0.0, "an earlier call is remembered: effects are pure functions"
+        assert largest_change(first, second) == 0.0, (
+            "an earlier call changes the result of the next: keep no state, use the arguments of correct() alone"
+        )
 
     def test_a_correction_is_returned_in_the_shape_of_the_signals(self) -> None:
         effect, signals = self.make_effect(), self.signals()

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.formatting.quantities import percent
+from orchestrator.formatting.sentences import listed
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
 from protocols import Correction, Effect, EffectLayer, EffectParameter, ParameterRole, Signals, unit_powers
 
@@ -28,6 +30,8 @@ MAX_EVALUATION_S = 0.25
 CURRENT_SCALE = 4.0
 """Currents of another machine over the first one's; times stay."""
 VOLTAGE_SCALE = 0.5
+OTHER_UNITS = ("A", "V", "ohm", "1", "W", "1/A", "1/ohm")
+"""Units by which a parameter may scale; of those that scale alike, such as V and Wb, the most frequent one."""
 UNIT_RESPONSE_LIMITS = (0.01, 100.0)
 """Change of voltage or current by a parameter of 1 V or 1 A, in its own unit."""
 MIN_SLOPE_RATIO = 0.01
@@ -59,7 +63,10 @@ class EffectPhysicsChecks(ABC):
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
         others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - CHANGES[layer])
-        assert not others, f"an effect of the layer {layer.name} changes {', '.join(others)}: the layer is wrong"
+        assert not others, (
+            f"layer is {layer.name}, whose effects change {listed(sorted(CHANGES[layer]))} alone, but this one changes "
+            f"{listed(others)}: choose another layer, or leave these signals"
+        )
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
         effect = self.make_effect()
@@ -67,21 +74,44 @@ class EffectPhysicsChecks(ABC):
             return  # nothing to check
         off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
         changed = sorted(set(self._correction(off, self._values("typical")).arrays) - {"i_ab"})
-        assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
+        assert not changed, (
+            f"with all gates off (signals.bridge_on is False) it changes {listed(changed)}, but there only an "
+            "effect of CURRENT_SENSORS can show: return Correction() there"
+        )
 
     def test_a_machine_of_another_size_behaves_alike(self) -> None:
         """Parameters in A, V, ohm etc. have to scale with the machine: else a unit is wrong or a constant hidden."""
-        effect, signals = self.make_effect(), self.signals()
-        declared = effect.Parameters.declared()
-        larger = {p.name: p.typical * _factor(p.unit) for p in declared}
+        signals = self.signals()
         here = signals.corrected(self._correction(signals, self._values("typical")))
-        there = _scaled(signals)
-        apart = largest_change(_scaled(here), there.corrected(self._correction(there, larger)))
-        effect_size = largest_change(signals, here)
-        assert apart <= 1e-6 * max(effect_size, 1e-3), (
-            f"with {CURRENT_SCALE:g} times the current and {VOLTAGE_SCALE:g} times the voltage a signal changes by "
-            f"{apart:.2g} of its size otherwise ({effect_size:.2g} is the effect): a parameter's unit is not "
-            f"what it is used as ({', '.join(f'{p.name} in {p.unit}' for p in declared)})"
+        size, units = largest_change(signals, here), self._units()
+        allowed = 1e-6 * max(size, 1e-3)
+        apart = self._difference_of_scaled(here, units)
+        off = percent(100.0 * apart / max(size, 1e-12))
+        assert apart <= allowed, (
+            f"on a motor of {CURRENT_SCALE:g} times the current and {VOLTAGE_SCALE:g} times the voltage, with the "
+            "parameters scaled by their units, the effect should scale alike, but differs by "
+            f"{off} of its size. {self._cause_of_difference(here, units, allowed)}"
+        )
+
+    def _units(self) -> dict[str, str]:
+        return {p.name: p.unit for p in self.make_effect().Parameters.declared()}
+
+    def _difference_of_scaled(self, here: Signals, units: Mapping[str, str]) -> float:
+        """Largest difference on the scaled machine between the scaled effect and the effect of scaled parameters."""
+        there = _scaled(self.signals())
+        values = {name: value * _factor(units[name]) for name, value in self._values("typical").items()}
+        return largest_change(_scaled(here), there.corrected(self._correction(there, values)))
+
+    def _cause_of_difference(self, here: Signals, units: Mapping[str, str], allowed: float) -> str:
+        """A parameter that fits in another unit than its own; without one, a constant in the code."""
+        for name, declared in units.items():
+            others = [unit for unit in OTHER_UNITS if _factor(unit) != _factor(declared)]
+            fit = next((x for x in others if self._difference_of_scaled(here, {**units, name: x}) <= allowed), None)
+            if fit is not None:
+                return f"{name} is declared in {declared}, but scales like a quantity in {fit}: correct its unit"
+        return (
+            "Probably the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor "
+            f"(declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
         )
 
     def test_a_volt_is_a_volt(self) -> None:
@@ -106,8 +136,8 @@ class EffectPhysicsChecks(ABC):
             for size in SIZE_FRACTIONS:
                 slope = self._moved(p, size, size + SIZE_STEP) / SIZE_STEP
                 assert slope >= MIN_SLOPE_RATIO * whole, (
-                    f"{p.name}: at {size:g} of its typical size the signals do not change with it (slope "
-                    f"{slope / whole:.2g} of the mean one): a fit would stay there"
+                    f"{p.name}: around {size:g} of its typical value the signals hardly change with it (slope "
+                    f"{slope / whole:.2g} of the mean one), so a fit would stop there: no steps, rounding or clipping"
                 )
 
     def _moved(self, p: EffectParameter, one: float, other: float) -> float:
@@ -127,8 +157,8 @@ class EffectPhysicsChecks(ABC):
         now, then = (s.corrected(self._correction(s, self._values("typical"))) for s in (signals, _later(signals)))
         change = largest_change(now, then)
         assert change <= 1e-9, (
-            f"1000 s later it changes a signal by {change:.2g} otherwise, but none of its parameters is per second: "
-            "start_s is no part of it"
+            f"the same signals 1000 s later (start_s) get another correction, by {change:.2g} of a signal, but no "
+            "parameter's unit has an s: do not use the time, or declare the parameter that goes with it per second"
         )
 
     def test_no_earlier_segment_is_remembered(self) -> None:
@@ -139,7 +169,7 @@ class EffectPhysicsChecks(ABC):
             used.correct(earlier, parameters)
         fresh = signals.corrected(self._correction(signals, self._values("typical")))
         assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
-            "what came before a segment changes it: effects are pure functions"
+            "an earlier segment changes the correction of this one: keep no state, use the arguments of correct() alone"
         )
 
     def test_answers_quickly(self) -> None:
@@ -152,7 +182,8 @@ class EffectPhysicsChecks(ABC):
             self._correction(signals, self._values("typical"))
             took.append(time.perf_counter() - begun)
         assert min(took) <= MAX_EVALUATION_S, (
-            f"{min(took):.2f} s for a second of samples ({MAX_EVALUATION_S} s allowed)"
+            f"correct() takes {min(took):.2f} s for a second of samples, {MAX_EVALUATION_S} s at most: use array "
+            "operations instead of a loop over samples"
         )
 
     def _shapes(self) -> dict[str, float]:

@@ -20,7 +20,7 @@ from orchestrator.tuning.machine import Machine
 from orchestrator.tuning.references import CurrentReferences
 
 SPEED_RATIO = 0.02
-"""Speed of the current's wave over the largest speed."""
+"""Speed of the current's wave over the rated speed, so that it is the same at other limits; else over the largest."""
 TORQUE_RATIO = 0.25
 """Torque of the wave over the largest one: small currents suffer most from dead time."""
 MAX_STEPS = 4000
@@ -87,7 +87,7 @@ def benefits_of(
     i_dq = references.at(wanted, unlimited)
     i_constants = _currents_by_constants(machine, limits.current_a, wanted)
     fastest = 2.0 * SIXTH / (MAX_STEPS * control.period_s)
-    speed = max(SPEED_RATIO * limits.speed_rad_s, fastest)
+    speed = max(SPEED_RATIO * _reference_speed(machine, limits), fastest)
     small = complex(*references.at(wanted[-1:] * TORQUE_RATIO, unlimited[:1])[0])
     angle = 2.0 * math.pi * np.arange(WAVE_POINTS) / WAVE_POINTS
     lost = compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v
@@ -98,6 +98,12 @@ def benefits_of(
     )
     by_map, by_constants = machine.torque_nm(i_dq), machine.torque_nm(i_constants)
     return Benefits(wanted, by_map, by_constants, angle, with_compensation, without, speed)
+
+
+def _reference_speed(machine: Machine, limits: DriveLimits) -> float:
+    """The rated electrical speed [rad/s], or the largest one where it is unknown or smaller."""
+    rated = machine.motor.rated_speed_rpm
+    return min(limits.speed_rad_s, math.inf if rated is None else rated * machine.pole_pairs * math.pi / 30.0)
 
 
 def _currents_by_constants(machine: Machine, current_a: float, torque_nm: Array) -> Array:
@@ -193,6 +199,14 @@ class _FluxTable:
                 (error.imag * d.real - error.real * d.imag) / determinant,
             )
         return i
+
+
+def ripple_of(wave: Array) -> Array:
+    """A phase current over a turn without its fundamental [A], shape (k,)."""
+    spectrum = np.fft.rfft(wave)
+    spectrum[1] = 0.0
+    ripple: Array = np.fft.irfft(spectrum, len(wave))
+    return ripple
 
 
 def _harmonics_percent(wave: Array) -> float:

@@ -15,7 +15,7 @@ from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, current_control
 from orchestrator.tuning.limits import DriveLimits
 from orchestrator.tuning.machine import Machine
-from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit
+from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit, largest_torque
 from orchestrator.tuning.sensorless import Sensorless, sensorless_limits
 from protocols import FluxMap, InputError
 
@@ -23,6 +23,8 @@ NEEDED_USES = ("mtpa", "observer")
 """Uses of a map that an audit has to leave intact."""
 SPEED_NODES = 201
 """Points of the torque curve."""
+PICTURED_RATIO, PICTURED_NODES = 2.0, 41
+"""Speeds of the pictured torque curve: over the base speed, which may be above the largest one, and their number."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,16 @@ class DriveTuning:
         torque = np.interp(psi, self.references.psi_limit_wb, self.references.torque_limit_nm)
         reachable = psi >= self.references.psi_limit_wb[0] * (1.0 - 1e-9)
         return np.where(reachable, torque, 0.0)
+
+    @cached_property
+    def whole_torque_curve(self) -> tuple[Array, Array]:
+        """Speeds [rad/s] and largest torques [Nm] up to twice the base speed, as far as there is any torque."""
+        speeds = np.linspace(0.0, max(self.limits.speed_rad_s, PICTURED_RATIO * self.base_speed_rad_s), PICTURED_NODES)
+        psi = flux_limit(self.limits, self.machine.r_s_ohm, self.limits.current_a, speeds)
+        levels = np.minimum(psi, self.references.psi_limit_wb[-1])
+        torques = largest_torque(self.machine, self.limits, levels)
+        shown = max(int(np.searchsorted(-torques, 0.0)) + 1, int(np.searchsorted(speeds, self.limits.speed_rad_s)) + 1)
+        return speeds[:shown], torques[:shown]
 
     @cached_property
     def benefits(self) -> Benefits:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from orchestrator.formatting.quantities import quantity
+from orchestrator.formatting.quantities import number, quantity
 from orchestrator.tuning.machine import Machine
 from protocols import DriveRecord, InputError
 
@@ -91,8 +91,8 @@ def limits_of(
             raise InputError(WHERE, name, f"expected a positive number, not {value:g} {option}")
         low, high = PLAUSIBLE.get(name, (MIN_CURRENT_RATIO * measured, math.inf))
         if value is not None and not low <= value <= high:
-            bound = f"{low:.3g} or more" if value < low else f"{high:.3g} or less"
-            raise InputError(WHERE, name, f"expected {bound}, not {value:g} {option}: is it in the right unit?")
+            bound = f"{number(low, 3)} or more" if value < low else f"{number(high, 3)} or less"
+            raise InputError(WHERE, name, f"expected {bound}, not {number(value)} {option}: is it in the right unit?")
     if current_a is not None and current_a > measured * (1.0 + 1e-6):
         wanted, reached = quantity(current_a, "A"), quantity(measured, "A")
         raise InputError(WHERE, "current_a", f"{wanted} peak is beyond the map, which was measured up to {reached}")

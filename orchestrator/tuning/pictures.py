@@ -11,6 +11,7 @@ import numpy as np
 
 from orchestrator.formatting.colours import BLUE, MODEL, Q_AXIS, VERMILION
 from orchestrator.formatting.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
+from orchestrator.tuning.benefits import ripple_of
 from orchestrator.tuning.drive_tuning import DriveTuning
 
 if TYPE_CHECKING:
@@ -34,13 +35,25 @@ def figure_of(tuning: DriveTuning) -> Figure:
     _loss(bare(axes[1, 0]), tuning)
     _injection(figure, bare(axes[1, 1]), tuning)
     _torque_error(bare(axes[2, 0]), tuning)
-    _wave(bare(axes[2, 1]), tuning)
+    _ripple(bare(axes[2, 1]), tuning)
     return figure
 
 
 def _torque(axes: Axes, tuning: DriveTuning) -> None:
-    rpm = tuning.speeds_rad_s / tuning.machine.pole_pairs * 30.0 / math.pi
-    axes.plot(rpm, tuning.torque_curve_nm, color=MODEL, lw=1.6)
+    speeds, torques = tuning.whole_torque_curve
+    limit = tuning.limits.speed_rad_s
+    inside = speeds[speeds <= limit]
+    at_limit = float(np.interp(limit, speeds, torques))
+    axes.plot(
+        [*map(tuning.rpm, inside), tuning.rpm(limit)], [*torques[: len(inside)], at_limit], color=MODEL, lw=1.6,
+        label="up to the largest speed",
+    )  # fmt: skip
+    if limit < speeds[-1]:
+        axes.plot(
+            [tuning.rpm(limit), *map(tuning.rpm, speeds[len(inside) :])], [at_limit, *torques[len(inside) :]], ":",
+            color=MODEL, lw=1.4, label="what voltage and current allow beyond",
+        )  # fmt: skip
+        axes.legend(fontsize=0.8 * STYLE.small_pt, loc="lower left")
     axes.set_title("largest torque", fontsize=STYLE.normal_pt)
     name_axes(axes, "speed [rpm]", "torque [Nm]")
     axes.set_ylim(bottom=0.0)
@@ -65,8 +78,9 @@ def _references(axes: Axes, tuning: DriveTuning) -> None:
 def _loss(axes: Axes, tuning: DriveTuning) -> None:
     held = tuning.compensation
     axes.plot(held.current_a, held.lost_v + tuning.limits.bus_v * held.lost_per_bus_v, color=MODEL, lw=1.6)
-    axes.set_title("voltage of a leg to add", fontsize=STYLE.normal_pt)
-    name_axes(axes, "phase current [A]", "[V]")
+    axes.set_title("compensation of a leg", fontsize=STYLE.normal_pt)
+    name_axes(axes, "phase current [A]", "voltage to add [V]")
+    _say_if_nothing(axes, tuning)
 
 
 def _injection(figure: Figure, axes: Axes, tuning: DriveTuning) -> None:
@@ -91,18 +105,33 @@ def _injection(figure: Figure, axes: Axes, tuning: DriveTuning) -> None:
 
 def _torque_error(axes: Axes, tuning: DriveTuning) -> None:
     held = tuning.benefits
-    axes.plot(held.wanted_nm, held.by_constants_nm, ":", color=BLUE, lw=1.4, label="constant inductances")
-    axes.plot(held.wanted_nm, held.by_map_nm, color=MODEL, lw=1.6, label="flux map")
-    axes.set_title("torque by its references", fontsize=STYLE.normal_pt)
-    name_axes(axes, "wanted [Nm]", "reached [Nm]")
-    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")
+    largest = held.wanted_nm[-1]
+    by_constants, by_map = (100.0 * (x - held.wanted_nm) / largest for x in (held.by_constants_nm, held.by_map_nm))
+    axes.plot(held.wanted_nm, by_constants, ":", color=BLUE, lw=1.4, label="constant inductances")
+    axes.plot(held.wanted_nm, by_map, color=MODEL, lw=1.6, label="flux map")
+    axes.set_title("error of the torque by its references", fontsize=STYLE.normal_pt)
+    name_axes(axes, "wanted torque [Nm]", "error [% of the largest]")
+    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="best")
 
 
-def _wave(axes: Axes, tuning: DriveTuning) -> None:
+def _ripple(axes: Axes, tuning: DriveTuning) -> None:
     held = tuning.benefits
-    turn = np.degrees(held.angle_rad)
-    axes.plot(turn, held.wave_without_a, ":", color=BLUE, lw=1.4, label="without compensation")
-    axes.plot(turn, held.wave_a, color=MODEL, lw=1.6, label="with compensation")
-    axes.set_title(f"phase current at {tuning.rpm(held.speed_rad_s):.0f} rpm, simulated", fontsize=STYLE.normal_pt)
-    name_axes(axes, "electrical angle [°]", "[A]")
+    turn, without, left = np.degrees(held.angle_rad), ripple_of(held.wave_without_a), ripple_of(held.wave_a)
+    axes.plot(turn, 1e3 * without, ":", color=BLUE, lw=1.4, label="without compensation")
+    axes.plot(turn, 1e3 * left, color=MODEL, lw=1.6, label="with compensation")
+    speed = f"{tuning.rpm(held.speed_rad_s):.0f} rpm"
+    axes.set_title(f"harmonics of the phase current at {speed}, simulated", fontsize=STYLE.normal_pt)
+    name_axes(axes, "electrical angle [°]", "current less its fundamental [mA]")
     axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")
+    _say_if_nothing(axes, tuning)
+
+
+def _say_if_nothing(axes: Axes, tuning: DriveTuning) -> None:
+    """Write into axes without a curve that there is nothing to compensate."""
+    held = tuning.compensation
+    if np.any(held.lost_v) or np.any(held.lost_per_bus_v):
+        return
+    axes.set_ylim(-1.0, 1.0)
+    axes.text(
+        0.5, 0.6, "no loss of the inverter is known", ha="center", transform=axes.transAxes, fontsize=STYLE.small_pt
+    )

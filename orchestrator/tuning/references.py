@@ -114,6 +114,13 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
     return references
 
 
+def largest_torque(machine: Machine, limits: DriveLimits, psi_limit_wb: Array) -> Array:
+    """Largest torque within the current limit at flux limits [Nm], shape (n,); 0 where a limit allows no point."""
+    torque = _Circles(machine, psi_limit_wb, limits.current_a).best()[3]
+    largest: Array = np.max(np.where(np.isfinite(torque), torque, 0.0), axis=1)
+    return largest
+
+
 def _tables(circles: _Circles, levels: Array, reaches: bool) -> CurrentReferences:
     radii, _, _, torque = circles.best()
     share = np.linspace(0.0, 1.0, TORQUE_NODES)

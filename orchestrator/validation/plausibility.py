@@ -52,6 +52,8 @@ DRIVE_RANGES: Mapping[str, Range] = {
     "pwm_frequency_hz": (100.0, 1e6),
 }
 """Options that mean the same in every drive; a board that answers single reads samples from 1 Hz on."""
+MAX_LIMIT_RATIO = 50.0
+"""Limit of a procedure over the motor's rated peak; drives overload a motor up to five times."""
 TWO_TURNS_RAD = 4.0 * math.pi
 """Largest plausible angle; values in degrees are mostly larger."""
 MAX_VOLTAGE_RATIO = 2.0 / 3.0
@@ -123,6 +125,7 @@ def implausible(
         yield ("motor", name), problem + _other_unit(name, procedure.motor)
     for name, problem in outside(procedure.drive.options, DRIVE_RANGES, "no drive does that"):
         yield ("drive", name), problem
+    yield from _limits_beyond_nameplate(procedure)
     for index, stage in enumerate(stages):
         for name, value in stage:
             if name.endswith("_rad") and isinstance(value, float) and abs(value) > TWO_TURNS_RAD:
@@ -130,6 +133,20 @@ def implausible(
                 yield ("stages", index, name), f"{value:g} rad is more than two turns: {degrees}"
             if name.endswith("_s") and isinstance(value, float) and value > longest_s:
                 yield ("stages", index, name), f"{value:g} s is more than a day"
+
+
+def _limits_beyond_nameplate(procedure: Procedure) -> Iterator[tuple[tuple[str, str], str]]:
+    """Key path and problem of a limit that exceeds the rated value so far that one of the two has another unit."""
+    limits, motor = procedure.limits, procedure.motor
+    for name, limit, field, unit, peak_over_rms in (
+        ("current_a", limits.current_a, "rated_current_rms_a", "A", math.sqrt(2.0)),
+        ("voltage_v", limits.voltage_v, "rated_voltage_rms_v", "V", math.sqrt(2.0 / 3.0)),
+    ):
+        rated = getattr(motor, field)
+        if rated and limit > MAX_LIMIT_RATIO * peak_over_rms * rated:
+            ratio = limit / (peak_over_rms * rated)
+            rest = f"the rated peak (motor.{field} is {rated:g} {unit}): one of the two is in another unit"
+            yield ("limits", name), f"{limit:g} {unit} is {ratio:.0f} times {rest}"
 
 
 def _other_unit(name: str, motor: Motor) -> str:

@@ -18,7 +18,7 @@ RECORDINGS, REPORT = ".recordings", "_campaign.json"
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="YAML file: procedures, motors, hidden effects, seeds.")],
+    file: Annotated[Path, typer.Argument(help="YAML file: procedures, motors, hidden effects, seeds.", metavar="FILE")],
     out: Annotated[Path, typer.Option(help="Folder of the table: created, or extended.", metavar="TABLE")],
     keep: Annotated[
         Path | None, typer.Option(help="Folder that keeps the simulated recordings.", metavar="DIR")

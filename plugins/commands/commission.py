@@ -24,18 +24,24 @@ def commission(
     until: Annotated[
         str, typer.Option(help="Half of the map's 95 % band, in percent of the rated flux.", metavar="P%")
     ] = "0.2%",
-    drive: Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")] = None,
+    drive: Annotated[
+        str | None, typer.Option(help="Use this drive instead of the procedure's.", metavar="NAME")
+    ] = None,
     motor: Annotated[
-        Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).")
+        Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).", metavar="FILE")
     ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting of the procedure.", metavar="K=V")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.", metavar="FOLDER")
+    ] = None,
     unattended: Annotated[
         str | None, typer.Option(help='"I have made the bench safe": no operator is present.', metavar="WORDS")
     ] = None,
-    serial: Annotated[str | None, typer.Option(help="The motor's serial number; stored with the run.")] = None,
+    serial: Annotated[
+        str | None, typer.Option(help="The motor's serial number; stored with the run.", metavar="NUMBER")
+    ] = None,
     queue: Annotated[
         bool, typer.Option("--queue", help="Run motor after motor; ask for each one's serial number.")
     ] = False,
@@ -50,12 +56,15 @@ def commission(
     from orchestrator.config import load_procedure
     from orchestrator.engine import TerminalOperator
     from orchestrator.interface.api import run
+    from orchestrator.runs import require_file_place
     from orchestrator.shelf import ask_serial, judge_run, run_folder_of, work_through, write_junit
     from plugins.stages.adaptive import AdaptiveStage
     from protocols import shipped_procedure
 
     if queue and (serial is not None or out is not None):
-        raise InputError("fluxbench commission", "--queue", "excludes --serial and --out")
+        raise InputError("--queue", "", "excludes --serial and --out")
+    if junit is not None:
+        require_file_place(junit, "--junit")
     kinds = re.findall(r"^  - kind: (\w+)", shipped_procedure(AdaptiveStage.name), re.MULTILINE)
     target = f"stages.{kinds.index(AdaptiveStage.name)}.until_percent={percent(until)}"
     operator = TerminalOperator() if unattended is None and sys.stdin.isatty() else None
@@ -93,7 +102,7 @@ def percent(text: str) -> float:
     """The number of a percentage; raises `InputError`."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or float(match[1]) <= 0.0:
-        raise InputError("fluxbench commission", "--until", f"{text!r}; expected a percentage, such as 0.2%")
+        raise InputError("--until", "", f"{text!r}; expected a percentage, such as 0.2%")
     return float(match[1])
 
 

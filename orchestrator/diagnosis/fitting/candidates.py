@@ -191,8 +191,9 @@ def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
     have = [e.name for e in effects] + list(MAP_RUNGS)
     for name in names:
         if name not in have:
-            hint = "--effects FILE for one of your own"
-            raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}; {hint}")
+            hint = suggestion(name, have)
+            joint = "" if hint.endswith("?") else ";"
+            raise PluginError("effects", name, f"no such effect; {hint}{joint} --effects FILE gives one of your own")
 
 
 def standardised(p: EffectParameter, value: float) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.fleet.statistics._validation import validate_types
+from orchestrator.fleet.statistics._validation import MAKES_A_TABLE, validate_types
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.numerics.types import Array, Mask
 from protocols import InputError
@@ -148,10 +148,10 @@ def read_fleet(place: str) -> FleetTable:
 
     path = Path(place)
     if not path.exists():
-        raise InputError(place, "", "no such table")
+        raise InputError(place, "", f"no such table{MAKES_A_TABLE}")
     parts = list(_parts_below(path)) if path.is_dir() else [path]
     if not parts:
-        raise InputError(place, "", "no Parquet file in it")
+        raise InputError(place, "", f"no Parquet file in it{MAKES_A_TABLE}")
     tables, damage = [], []
     for part in parts:
         try:
@@ -181,7 +181,9 @@ def _arrow_table(part: Path) -> pa.Table:
         # Each column once: of two with one name, `validate_types` says so.
         return file.read(columns=[name for name in dict.fromkeys(file.schema_arrow.names) if name in known])
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(str(part), "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
+        reason = str(error).splitlines()[0][:160].rstrip(".")
+        problem = f"cannot be read as Parquet: {'damaged, or of another format' if 'magic bytes' in reason else reason}"
+        raise InputError(str(part), "", problem + MAKES_A_TABLE) from None
 
 
 def fleet_of(table: pa.Table, place: str) -> FleetTable:

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
 _MARKS = ("source", "serial", "R_s_ohm", "effects", "failed")
 """Columns by which a fleet's table is known; others that are missing are null."""
+MAKES_A_TABLE = "; expected what `fluxbench fleet run RECORDINGS --out TABLE` writes"
+"""End of the line about a path that is no fleet's table."""
 
 
 def validate_types(table: pa.Table, place: str) -> pa.Table:
@@ -27,7 +29,7 @@ def validate_types(table: pa.Table, place: str) -> pa.Table:
     names = table.column_names
     missing = [name for name in _MARKS if name not in names]
     if missing:
-        raise InputError(place, missing[0], "no such column: not a fleet's table")
+        raise InputError(place, missing[0], f"no such column: not a fleet's table{MAKES_A_TABLE}")
     schema = arrow_schema()
     columns = [
         _as(field, table.column(field.name), place)

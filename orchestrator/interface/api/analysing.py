@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.interface.api.threads import one_thread
-from orchestrator.recording import has_model, read_model
+from orchestrator.recording import has_model, read_model, require_recording
 from orchestrator.registry.plugins import PluginKind, load_effects_file, make_plugins
-from orchestrator.runs import open_any, refuse_file, refuse_folder_of_runs
+from orchestrator.runs import open_any, refuse_file
 from protocols import (
     AddReport,
     CompareReport,
@@ -198,14 +198,9 @@ def explain(place: Place) -> Explanation:
     from orchestrator.diagnosis import explanation_of, load_diagnosis
 
     path = Path(place)
-    refuse_file(path)
-    if not path.is_dir():
-        raise InputError(str(path), "", "no such directory")
     diagnosis = load_diagnosis(path)
     if diagnosis is None:
-        refuse_folder_of_runs(path)
-        if not any((path / name).is_file() for name in ("run.json", "recording.json")):
-            raise InputError(str(path), "", "neither a run nor a recording, and has no diagnosis")
+        require_recording(path)
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
     return explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
 

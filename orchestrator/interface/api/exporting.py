@@ -40,10 +40,12 @@ def export(
     """
     from orchestrator.flux_maps import load_map
     from orchestrator.flux_maps.exporting import export_map
+    from orchestrator.runs import refuse_file
 
     path = Path(place)
-    flux_map = load_map(path)
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
+    refuse_file(folder)
+    flux_map = load_map(path)
     motor_used, recording = motor_and_recording(path, motor)
     caution = _caution(path)
     return export_map(flux_map, motor_used, folder, formats or None, recording=recording, caution=caution)

@@ -64,10 +64,13 @@ def tune(
         Where a file cannot be written.
     """
     from orchestrator.flux_maps import load_map
+    from orchestrator.runs import refuse_file
     from orchestrator.tuning import Compensation, Machine, limits_of, no_compensation, write_tuning
     from orchestrator.tuning import tune as tune_drive
 
     path = Path(place)
+    folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
+    refuse_file(folder)
     flux_map = load_map(path)
     chosen, recording = motor_and_recording(path, motor)
     manifest, model, std, remarks = _context(path)
@@ -92,7 +95,6 @@ def tune(
             clarke_of_three=_clarke_of_three(path),
         )
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))
-    folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
     return write_tuning(tuning, folder, recording, remarks)
 
 

@@ -28,7 +28,7 @@ def estimate_command(
     ] = None,
     estimators: Annotated[
         list[str] | None,
-        typer.Option("--estimator", help="Only this one (repeatable), into estimators/NAME/results/."),
+        typer.Option("--estimator", help="Only this one (repeatable), into estimators/NAME/results/.", metavar="NAME"),
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -80,7 +80,9 @@ def diagnose_command(
     recording: RecordingArgument,
     model: ModelOption = None,
     effects: EffectsOption = None,
-    without: Annotated[list[str] | None, typer.Option(help="Exclude this effect from the library.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="Exclude this effect from the library.", metavar="EFFECT")
+    ] = None,
     material_flux: Annotated[
         float | None, typer.Option(min=0.0, help="Change of the map from which an effect is material, % of rated flux.")
     ] = None,
@@ -88,7 +90,8 @@ def diagnose_command(
         float | None, typer.Option(min=0.0, help="Voltage from which an effect is material, % of the excitation's rms.")
     ] = None,
     priors: Annotated[
-        Path | None, typer.Option(help="Priors from a fleet of the same kind, a file of `fluxbench fleet priors`.")
+        Path | None,
+        typer.Option(help="Priors from a fleet of the same kind, a file of `fluxbench fleet priors`.", metavar="FILE"),
     ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
@@ -121,9 +124,11 @@ def discover_command(
     write: Annotated[
         Path | None, typer.Option(help="Write the law to this file of effects.", metavar="FILE.py")
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the effect; by default the file's.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the effect; by default the file's.", metavar="NAME")] = None,
     effects: EffectsOption = None,
-    without: Annotated[list[str] | None, typer.Option(help="Exclude this effect from the library.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(help="Exclude this effect from the library.", metavar="EFFECT")
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -160,7 +165,7 @@ def add_command(
 @commands.command("remove", epilog="Example: fluxbench remove runs/first hysteresis")
 def remove_command(
     recording: RecordingArgument,
-    effect: Annotated[str, typer.Argument(help="Name of the effect.")],
+    effect: Annotated[str, typer.Argument(help="Name of the effect.", metavar="EFFECT")],
     effects: EffectsOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,

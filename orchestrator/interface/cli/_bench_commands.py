@@ -40,7 +40,8 @@ def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: 
 @commands.command("run", epilog="Example: fluxbench run demo --out runs/first --set limits.current_a=4.8")
 def run_command(
     procedure: Annotated[
-        str | None, typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo")
+        str | None,
+        typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo", metavar="PROCEDURE"),
     ] = None,
     drive: DriveOption = None,
     motor: MotorOption = None,
@@ -48,16 +49,24 @@ def run_command(
     out: Annotated[
         Path | None, typer.Option(help="New folder for the run; by default runs/<name>-<time>.", metavar="FOLDER")
     ] = None,
-    serial: Annotated[str | None, typer.Option(help="The motor's serial number; stored with the run.")] = None,
-    operator: Annotated[str | None, typer.Option(help="The operator's name; stored with the run.")] = None,
+    serial: Annotated[
+        str | None, typer.Option(help="The motor's serial number; stored with the run.", metavar="NUMBER")
+    ] = None,
+    operator: Annotated[
+        str | None, typer.Option(help="The operator's name; stored with the run.", metavar="NAME")
+    ] = None,
     ambient: Annotated[float | None, typer.Option(help="Ambient temperature [C]; stored with the run.")] = None,
-    tags: Annotated[list[str] | None, typer.Option("--tag", help="Search tag of the run (may be repeated).")] = None,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", help="Search tag of the run (may be repeated).", metavar="TAG")
+    ] = None,
     notes: Annotated[
-        list[str] | None, typer.Option("--note", help="A note, stored with the run (may be repeated).")
+        list[str] | None, typer.Option("--note", help="A note, stored with the run (may be repeated).", metavar="TEXT")
     ] = None,
     source: Annotated[
         Path | None,
-        typer.Option("--from", help="Continue this run: measure the experiment that its diagnosis proposes."),
+        typer.Option(
+            "--from", help="Continue this run: measure the experiment that its diagnosis proposes.", metavar="RUN"
+        ),
     ] = None,
     rounds: Annotated[
         int | None, typer.Option(min=1, max=10, help="With --from: maximum number of experiments.", show_default="1")
@@ -83,7 +92,7 @@ def run_command(
     With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
     diagnose again.
     """
-    _check_options(log, remote, unattended)
+    _check_options(log, remote, unattended, junit)
     if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
         _announce(str(source or procedure or "demo"), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, run, run_further, run_queue
@@ -100,7 +109,11 @@ def run_command(
         return run(procedure or "demo", drive, motor, settings or [], out, audience, about)
     own = (procedure, drive, motor, settings or None, out, serial, operator, ambient, tags or None, notes or None)
     if any(option is not None for option in own):
-        raise typer.BadParameter("continues with the run's own procedure, drive and directory", param_hint="--from")
+        raise typer.BadParameter(
+            "continues a run as it is: leave out PROCEDURE, --drive, --motor, --set, --out, --serial, --operator, "
+            "--ambient, --tag and --note",
+            param_hint="--from",
+        )
     return run_further(source, rounds or 1, audience)
 
 
@@ -120,18 +133,22 @@ def resume_command(
 
     It starts at the first unmeasured point, and energises only after your confirmation.
     """
-    _check_options(log, remote, unattended)
+    _check_options(log, remote, unattended, junit)
     _announce(str(path), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, resume
 
     return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote, junit))
 
 
-def _check_options(log: str, remote: str | None, unattended: str | None) -> None:
+def _check_options(log: str, remote: str | None, unattended: str | None, junit: Path | None) -> None:
     if log not in ("text", "json"):
         raise typer.BadParameter(f"{log!r}; expected text or json", param_hint="--log")
     if remote is not None and unattended is not None:
         raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
+    if junit is not None:
+        from orchestrator.runs import require_file_place
+
+        require_file_place(junit, "--junit")
 
 
 @commands.command("check", epilog="Example: fluxbench check demo --motor motor.yaml")

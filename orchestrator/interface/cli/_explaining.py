@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.formatting.explaining import BASIS_HEAD, LOG_EVIDENCE_SCALE, SEARCH_HEAD, basis_rows, search_rows
+from orchestrator.formatting.explaining import (
+    BASIS_HEAD,
+    LOG_EVIDENCE_SCALE,
+    SEARCH_HEAD,
+    basis_rows,
+    search_legend,
+    search_rows,
+)
 from orchestrator.formatting.names import VERDICTS, plain
 from orchestrator.formatting.results import part_notes
 from orchestrator.interface import api
@@ -32,7 +39,8 @@ def _print(path: Path, explanation: Explanation) -> None:
     if explanation.search:
         say("", "steps of the search (chi2 per degree of freedom, before → after):")
         say_wide_table(SEARCH_HEAD, search_rows(explanation.search))
+        say_notes(search_legend(explanation.search))
     if explanation.effects:
-        say("evidence for each named effect:")
+        say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
         say_notes((*part_notes(explanation.effects), LOG_EVIDENCE_SCALE))

@@ -15,8 +15,12 @@ commands = typer.Typer()
 @commands.command("export", epilog="Example: fluxbench export runs/first")
 def export_command(
     path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
-    formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
-    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
+    formats: Annotated[
+        list[str] | None, typer.Option("--format", help="Only this format (may be repeated).", metavar="FORMAT")
+    ] = None,
+    motor: Annotated[
+        Path | None, typer.Option(help="YAML file with the motor, for a map file.", metavar="FILE")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.", metavar="FOLDER")
     ] = None,
@@ -34,7 +38,9 @@ def tune_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to; by default tuning/ in RUN.", metavar="FOLDER")
     ] = None,
-    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
+    motor: Annotated[
+        Path | None, typer.Option(help="YAML file with the motor, for a map file.", metavar="FILE")
+    ] = None,
     current_a: Annotated[
         float | None, typer.Option(help="Largest current, peak [A]; by default the rated one, as far as measured.")
     ] = None,
@@ -68,11 +74,15 @@ def audit_command(
     path: Annotated[
         Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
     ],
-    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for its pole pairs.")] = None,
+    motor: Annotated[
+        Path | None, typer.Option(help="YAML file with the motor, for its pole pairs.", metavar="FILE")
+    ] = None,
     repair: Annotated[
         Path | None, typer.Option(help="Write the nearest physically possible map to this file (.nc).", metavar="OUT")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Draw map and faults (.svg, .png or .pdf).")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw map and faults (.svg, .png or .pdf).", metavar="FILE")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Check whether a flux map is physically possible.
@@ -102,7 +112,9 @@ def import_command(
     ] = None,
     guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Merge several recordings into one.")] = False,
-    motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor (and drive).")] = None,
+    motor: Annotated[
+        Path | None, typer.Option(help="With --guess: YAML file with the motor (and drive).", metavar="FILE")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Import measurements of other tools as a recording."""
@@ -122,7 +134,7 @@ def runs_command(
     words: Annotated[
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
     ] = None,
-    folder: Annotated[Path, typer.Option(help="Folder to search.")] = Path("runs"),
+    folder: Annotated[Path, typer.Option(help="Folder to search.", metavar="FOLDER")] = Path("runs"),
     where: Annotated[
         list[str] | None,
         typer.Option(help="Only runs with 'COLUMN=VALUE'; also != < > <= >= and ~ (contains).", metavar="CONDITION"),
@@ -155,7 +167,9 @@ def runs_command(
 def note_command(
     path: RunArgument,
     notes: Annotated[list[str] | None, typer.Argument(help="Notes to add.", metavar="NOTE")] = None,
-    tags: Annotated[list[str] | None, typer.Option("--tag", help="Tag to add (may be repeated).")] = None,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", help="Tag to add (may be repeated).", metavar="TAG")
+    ] = None,
     untag: Annotated[list[str] | None, typer.Option(help="Tag to remove (may be repeated).", metavar="TAG")] = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -170,8 +184,10 @@ def note_command(
 
 @commands.command("new", epilog="Example: fluxbench new effect lagging_drop")
 def new_command(
-    kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
-    name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
+    kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.", metavar="KIND")],
+    name: Annotated[
+        str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.", metavar="NAME")
+    ],
     out: Annotated[Path | None, typer.Option(help="New folder; by default fluxbench-NAME.", metavar="FOLDER")] = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -197,7 +213,9 @@ def plugins_command(as_json: JsonOption = False) -> int:
 
 @commands.command("procedures", epilog="Example: fluxbench procedures demo")
 def procedures_command(
-    name: Annotated[str | None, typer.Argument(help="Print this procedure, as a template for your own.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="Print this procedure, as a template for your own.", metavar="NAME")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """List the shipped procedures."""
@@ -217,7 +235,10 @@ def effects_command(as_json: JsonOption = False) -> int:
 @commands.command("schema", epilog="Example: fluxbench schema motor --table")
 def schema_command(
     name: Annotated[
-        str, typer.Argument(help="procedure, motor, recording, mapping, run, estimates; or drive, and its NAME.")
+        str,
+        typer.Argument(
+            help="procedure, motor, recording, mapping, run, estimates; or drive, and its NAME.", metavar="NAME"
+        ),
     ],
     plugin: Annotated[str | None, typer.Argument(help="Name of the drive.", metavar="[NAME]")] = None,
     as_table: Annotated[bool, typer.Option("--table", help="Print a table in Markdown instead.")] = False,

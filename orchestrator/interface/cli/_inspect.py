@@ -80,8 +80,11 @@ def schema(name: str, plugin: str | None, as_table: bool) -> int:
     """Print the JSON Schema of a file format or of a drive's options; of those, a table in Markdown as well."""
     from orchestrator.stages import with_stages
 
-    if (name == "drive") != (plugin is not None):
-        raise InputError("schema", name, "expected a drive's name after `drive`, and nothing after the others")
+    if name == "drive" and plugin is None:
+        drives = ", ".join(info.name for info in installed(PluginKind.DRIVES))
+        raise InputError("schema", name, f"expected a drive's name after it, one of {drives}")
+    if name != "drive" and plugin is not None:
+        raise InputError("schema", plugin, f"a name goes with `schema drive` alone; `schema {name}` needs none")
     model = _model(name) if plugin is None else load_plugin(PluginKind.DRIVES, plugin).Options
     if as_table:
         from orchestrator.formatting.options import options_table

@@ -7,15 +7,20 @@ from typing import Annotated
 
 import typer
 
-ProcedureArgument = Annotated[str, typer.Argument(help="Name of a shipped procedure, or a YAML file.")]
+ProcedureArgument = Annotated[
+    str, typer.Argument(help="Name of a shipped procedure, or a YAML file.", metavar="PROCEDURE")
+]
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording or run directory.", metavar="RECORDING")]
 DiagnosedArgument = Annotated[
     Path, typer.Argument(help="A run, a recording, or the folder of `diagnose --out`.", metavar="RUN")
 ]
 RunArgument = Annotated[Path, typer.Argument(help="A run directory.", metavar="RUN")]
-DriveOption = Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")]
+DriveOption = Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.", metavar="NAME")]
 MotorOption = Annotated[
-    Path | None, typer.Option(help="YAML file with a motor (and limits, drive, accept) that replaces the procedure's.")
+    Path | None,
+    typer.Option(
+        help="YAML file with a motor (and limits, drive, accept) that replaces the procedure's.", metavar="FILE"
+    ),
 ]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="Change one setting of the procedure: key.path=value.", metavar="K=V")
@@ -23,17 +28,23 @@ SetOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 LogOption = Annotated[
-    str, typer.Option("--log", help="Format of the run's progress: text, or json (one object per line).")
+    str,
+    typer.Option("--log", help="Format of the run's progress: text, or json (one object per line).", metavar="FORMAT"),
 ]
 ViewOption = Annotated[bool, typer.Option("--view", help="Open the viewer and follow the run in it.")]
 StreamOption = Annotated[
-    list[str] | None, typer.Option("--stream", help="Send the run to this installed stream as well (may be repeated).")
+    list[str] | None,
+    typer.Option("--stream", help="Send the run to this installed stream as well (may be repeated).", metavar="NAME"),
 ]
 EffectsOption = Annotated[
-    Path | None, typer.Option("--effects", help="Python file with your own candidate effects; its code is executed.")
+    Path | None,
+    typer.Option(
+        "--effects", help="Python file with your own candidate effects; its code is executed.", metavar="FILE"
+    ),
 ]
 RehearsedOption = Annotated[
-    str | None, typer.Option("--model", help="Rehearse on a flux map or model.json instead of the nameplate.")
+    str | None,
+    typer.Option("--model", help="Rehearse on a flux map or model.json instead of the nameplate.", metavar="MODEL"),
 ]
 NoiseOption = Annotated[
     float | None,
@@ -63,7 +74,10 @@ JunitOption = Annotated[
 ]
 ModelOption = Annotated[
     str | None,
-    typer.Option(help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json."),
+    typer.Option(
+        help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json.",
+        metavar="MODEL",
+    ),
 ]
 OutOption = Annotated[
     Path | None,

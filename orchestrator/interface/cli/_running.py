@@ -49,6 +49,8 @@ def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = No
         if error.filename is not None:
             bad_name = error.errno == errno.ENAMETOOLONG  # a name of the user, and no fault of the disk
             return _fail(f"{error.filename}: {error.strerror or error}", 2 if bad_name else 3)
+        if error.errno is None:  # a library's own error, which no call of the system made
+            return _explain(error, arguments)
         give_up_broken_output()
         return _fail(f"standard output: cannot be written: {error.strerror or error}", 3)
     except MemoryError as error:  # numpy's error has a text, Python's own has none

@@ -46,7 +46,7 @@ class RunsOptions:
 def list_runs(folder: Path, options: RunsOptions) -> int:
     """Print the runs, by default the newest last; 3 where one cannot be read, unless that is skipped."""
     if not folder.is_dir():
-        raise InputError(str(folder), "", "no such folder")
+        raise InputError(str(folder), "", "no such folder; --folder names the one with your runs")
     columns = [known_column(name, "--columns") for name in options.columns]
     wanted = RunQuery(
         words=options.words,

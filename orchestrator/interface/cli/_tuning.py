@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orchestrator.formatting.sentences import text_table
 from orchestrator.interface import api
-from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
+from orchestrator.interface.cli._output import say, say_document, say_notes
 from orchestrator.interface.cli._refreshing import refresh_report
 
 if TYPE_CHECKING:
@@ -42,6 +43,6 @@ def _print(report: TuningReport, folder: Path) -> None:
     from orchestrator.tuning.words import figure_rows, headline, notes
 
     say(headline(report), "")
-    say_table(("figure", "value"), figure_rows(report))
+    say(text_table(("figure", "value"), figure_rows(report), numbers=False))
     say_notes(notes(report))
     say(f"written into {folder}: {', '.join(report.files)}")

@@ -5,6 +5,7 @@ The example is that of the command, the last line of its help.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 EXAMPLE = "Example: "
@@ -16,6 +17,8 @@ _BOUNDS = {
     "less_than": ("lt", "below {}"),
 }
 """Pydantic's kinds of a number out of its range: the field that has the bound, and the words for it."""
+_EXTRA = re.compile(r"Got unexpected extra arguments?(?:\(s\))? \((.*)\)$")
+"""Typer's message about more arguments than a command takes."""
 _ANY_NUMBER = {"int_parsing": 10, "float_parsing": 1.5}
 """An example of a number whose option has neither a bound nor a default."""
 
@@ -25,6 +28,9 @@ def usage_line(error: Any) -> str:
     context, parameter, kind = getattr(error, "ctx", None), getattr(error, "param", None), type(error).__name__
     if kind == "BadOptionUsage":
         return f"{error.option_name}: expected a value after it"
+    if kind == "NoArgsIsHelpError" and context is not None:
+        names = ", ".join(getattr(context.command, "commands", {}))
+        return f"{context.command_path}: expected a command: {names}; `{context.command_path} --help` describes them"
     if parameter is None:
         return _line_without_parameter(error, context)
     name, problem = _name_of(parameter), _pydantic_problem(error)
@@ -42,9 +48,25 @@ def _line_without_parameter(error: Any, context: Any) -> str:
     if hint is not None:
         return f"{hint if isinstance(hint, str) else ' and '.join(hint)}: {error.message}"
     line = str(error.format_message()).removeprefix("Invalid value: ")
+    extra = _EXTRA.match(line)
+    if extra is not None and context is not None:
+        return f"{extra[1]}: {_arity(context, extra[1])}"
     if context is None or not line.startswith("No such") or line.endswith(("?", ")")):  # these have a suggestion
         return line
     return f"{line.rstrip('.')}; `{context.command_path} --help` lists what there is"
+
+
+def _arity(context: Any, extra: str) -> str:
+    """How many arguments a command takes, and what the superfluous ones may have been meant for."""
+    parameters = context.command.params
+    arguments = [p for p in parameters if p.param_type_name == "argument"]
+    counted = [f"{'one' if p.required else 'at most one'} {_name_of(p)}" for p in arguments]
+    takes = f"`{context.command_path}` takes {' and '.join(counted) or 'no argument'}"
+    if [_name_of(p) for p in arguments] in (["RUN"], ["RECORDING"]):
+        return f"{takes}; `fluxbench compare RUN RUN...` compares several"
+    if "=" in extra and any("--set" in p.opts for p in parameters):
+        return f"{takes}; a setting is given as `--set {extra}`"
+    return f"{takes}; `{context.command_path} --help` lists its options"
 
 
 def _name_of(parameter: Any) -> str:
@@ -69,7 +91,7 @@ def _expectation(problem: dict[str, Any]) -> str:
     if problem["type"] not in _BOUNDS:
         return describe_problem(problem)
     field, words = _BOUNDS[problem["type"]]
-    return f"expected a number {words.format(problem['ctx'][field])}, got {problem['input']!r}"
+    return f"expected a number {words.format(_plain(problem['ctx'][field]))}, got {problem['input']!r}"
 
 
 def _example_for(parameter: Any, context: Any, problem: dict[str, Any] | None) -> str:
@@ -82,4 +104,9 @@ def _example_for(parameter: Any, context: Any, problem: dict[str, Any] | None) -
         return ""
     default, kind = parameter.default, problem["type"]
     number = default if isinstance(default, int | float) else problem.get("ctx", {}).get("ge", _ANY_NUMBER.get(kind))
-    return "" if number is None else f"{_name_of(parameter)} {number}"
+    return "" if number is None else f"{_name_of(parameter)} {_plain(number)}"
+
+
+def _plain(number: float) -> str:
+    """A bound as one would write it: 0 instead of 0.0."""
+    return f"{number:g}" if isinstance(number, float) else str(number)

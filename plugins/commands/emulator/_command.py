@@ -30,7 +30,9 @@ _NOT_HERE = {
 
 
 def emulate(
-    serial: Annotated[Path | None, typer.Option("--serial", help="Make a pseudo-terminal and link it here.")] = None,
+    serial: Annotated[
+        Path | None, typer.Option("--serial", help="Make a pseudo-terminal and link it here.", metavar="PATH")
+    ] = None,
     can: Annotated[
         str | None,
         typer.Option(
@@ -48,7 +50,9 @@ def emulate(
     ] = None,
     motor: Annotated[
         Path | None,
-        typer.Option(help="Motor file; its section `drive` describes the plant. By default those of `demo`."),
+        typer.Option(
+            help="Motor file; its section `drive` describes the plant. By default those of `demo`.", metavar="FILE"
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
@@ -63,9 +67,13 @@ def emulate(
     ] = None,
     watchdog: Annotated[float | None, typer.Option(min=0.0, help="Watchdog time [s]; 0: no watchdog.")] = None,
     longest_program: Annotated[float, typer.Option(min=0.0, help="Longest program that is accepted [s].")] = 3600.0,
-    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
-    log: Annotated[Path | None, typer.Option(help="Log events to this file, one JSON object a line.")] = None,
-    state: Annotated[Path | None, typer.Option(help="Keep the plant's state in this directory.")] = None,
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.", metavar="RATIO")] = "1",
+    log: Annotated[
+        Path | None, typer.Option(help="Log events to this file, one JSON object a line.", metavar="FILE")
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(help="Keep the plant's state in this directory.", metavar="FOLDER")
+    ] = None,
     open_interlocks: Annotated[
         Path | None,
         typer.Option(help="File with the open interlocks, one of --set 'interlocks=[door]' a line.", metavar="FILE"),
@@ -85,7 +93,7 @@ def emulate(
     from protocols import InputError
 
     if (serial is None) == (can is None):
-        raise InputError("fluxbench emulate", "", "give either --serial PATH or --can INTERFACE:CHANNEL")
+        raise InputError("emulate", "", "give either --serial PATH or --can INTERFACE:CHANNEL")
     options, nameplate = _plant(motor, settings or (), watchdog)
     pace = _speed(speed)
     journal = no_log if log is None else JsonLines(log)

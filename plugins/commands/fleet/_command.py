@@ -24,10 +24,14 @@ class _RunUnlessNamed(typer.core.TyperGroup):
 
 
 def priors(
-    table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
-    out: Annotated[Path, typer.Option(help="JSON file to write; `fluxbench diagnose RUN --priors FILE` takes it.")],
+    table: Annotated[
+        str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.", metavar="TABLE")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="JSON file to write; `fluxbench diagnose RUN --priors FILE` takes it.", metavar="FILE")
+    ],
     motor: Annotated[
-        str | None, typer.Option(help="Nameplate's name, where the table has several kinds of motor.")
+        str | None, typer.Option(help="Nameplate's name, where the table has several kinds of motor.", metavar="NAME")
     ] = None,
     skip_damaged: SkipDamaged = False,
     as_json: AsJson = False,

@@ -16,9 +16,11 @@ if TYPE_CHECKING:
 
 
 def report(
-    table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
+    table: Annotated[
+        str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.", metavar="TABLE")
+    ],
     limits: Annotated[
-        Path | None, typer.Option(help="YAML file with limits that each recording is tested against.")
+        Path | None, typer.Option(help="YAML file with limits that each recording is tested against.", metavar="FILE")
     ] = None,
     against: Annotated[
         str | None,
@@ -29,7 +31,10 @@ def report(
     ] = None,
     rrd: Annotated[bool, typer.Option("--rrd", help="Write fleet-report.rrd too, for `fluxbench view`.")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the page and its JSON; by default _report in the table's folder.")
+        Path | None,
+        typer.Option(
+            help="Folder for the page and its JSON; by default _report in the table's folder.", metavar="FILE"
+        ),
     ] = None,
     skip_damaged: SkipDamaged = False,
     as_json: AsJson = False,

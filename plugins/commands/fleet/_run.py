@@ -24,9 +24,12 @@ def run(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the table: created, or extended.", metavar="TABLE")],
-    do: Annotated[str, typer.Option(help="import, estimate, compare, diagnose, export; one or more.")] = "estimate",
+    do: Annotated[
+        str, typer.Option(help="import, estimate, compare, diagnose, export; one or more.", metavar="STEPS")
+    ] = "estimate",
     mapping: Annotated[
-        Path | None, typer.Option(help="With import: YAML file that maps the columns of measurement files.")
+        Path | None,
+        typer.Option(help="With import: YAML file that maps the columns of measurement files.", metavar="FILE"),
     ] = None,
     keep: Annotated[
         Path | None,

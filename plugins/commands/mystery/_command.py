@@ -26,10 +26,15 @@ WHOLE = "expected a whole number from 0 on"
 def mystery(
     number: Annotated[int, typer.Argument(help="Number of the mystery; the same number gives the same motor.")],
     guess: Annotated[
-        str | None, typer.Option(help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.")
+        str | None,
+        typer.Option(
+            help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.", metavar="EFFECTS"
+        ),
     ] = None,
     reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
-    out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="The run directory; by default runs/mystery-N.", metavar="FOLDER")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the next command alone.")] = False,
     as_json: AsJson = False,
 ) -> int:
@@ -38,7 +43,7 @@ def mystery(
     from plugins.commands.mystery._guessing import caused_effects, judge, read_guess, sealed_effects
 
     if number < 0:
-        raise InputError("fluxbench mystery", str(number), WHOLE)
+        raise InputError("NUMBER", str(number), WHOLE)
     if out is not None and not out.name:
         raise InputError("--out", "", "expected a separate folder")
     path = out if out is not None else Path("runs") / f"mystery-{number}"
@@ -73,7 +78,7 @@ def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
     if negative is not None:  # otherwise it would be parsed as an option
-        raise InputError("fluxbench mystery", negative, WHOLE)
+        raise InputError("NUMBER", negative, WHOLE)
     return entry_point(mystery, "Example: fluxbench mystery 4")(arguments)
 
 

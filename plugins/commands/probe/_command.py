@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,7 +19,8 @@ NO_RIPPLE = "not demodulated on the drive"
 
 def probe(
     serial: Annotated[
-        list[str] | None, typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.")
+        list[str] | None,
+        typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.", metavar="PORT"),
     ] = None,
     can: Annotated[
         list[str] | None,
@@ -38,8 +40,11 @@ def probe(
         missing_package,
         serial_line,
     )
-    from protocols import DriveError
+    from protocols import DriveError, InputError
 
+    missing = next((port for port in serial or () if port.startswith("/") and not Path(port).exists()), None)
+    if missing is not None:
+        raise InputError("--serial", missing, "no such port; `fluxbench probe` alone looks on all")
     named = [serial_line(port, baud_rate) for port in serial or ()]
     named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
     drives: list[Found] = []

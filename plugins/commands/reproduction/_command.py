@@ -8,11 +8,16 @@ from typing import Annotated
 import typer
 
 from plugins.command_line import entry_point
+from protocols import InputError
 
 
 def reproduce(
-    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.")] = Path("runs/paper"),
-    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("runs/paper-page"),
+    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.", metavar="RUN")] = Path(
+        "runs/paper"
+    ),
+    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.", metavar="FOLDER")] = Path(
+        "runs/paper-page"
+    ),
     literal: Annotated[
         bool,
         typer.Option("--literal", help="Write a second page: the paper's own evaluation and its sources of error."),
@@ -22,10 +27,13 @@ def reproduce(
     from orchestrator.config import load_procedure
     from orchestrator.engine import AbsentOperator, RunServices, handling_signals, start_run
     from orchestrator.formatting.sentences import shown
+    from orchestrator.runs import RunDirectory, is_run
     from plugins.commands.reproduction._material import collect
     from plugins.commands.reproduction._page import write_page
 
-    if not (run / "run.json").is_file():
+    if is_run(run) and RunDirectory.open(run).record.procedure.name != "paper":
+        raise InputError("--run", str(run), "is a run of another procedure; name a new folder, or one of this command")
+    if not is_run(run):
         with handling_signals() as interrupts:
             result = start_run(load_procedure("paper"), run, RunServices(AbsentOperator(), interrupts, {"console": {}}))
         if result.outcome.error is not None:

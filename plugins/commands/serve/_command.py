@@ -14,7 +14,7 @@ HOST = "127.0.0.1"
 
 def serve(
     folder: Annotated[
-        Path, typer.Argument(help="Folder with procedures and motor files; runs go to runs/ in it.")
+        Path, typer.Argument(help="Folder with procedures and motor files; runs go to runs/ in it.", metavar="FOLDER")
     ] = Path(),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free port.")] = 0,
 ) -> int:

@@ -15,7 +15,7 @@ import typer
 
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import entry_point
-from protocols import FluxbenchError, RecordingError
+from protocols import FluxbenchError, InputError, PluginError, RecordingError
 
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
@@ -41,14 +41,23 @@ def view(
     ],
     web: Annotated[bool, typer.Option("--web", help="Open in the browser; always so without a display.")] = False,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the viewer, or of its page.")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Write a picture to this file and open nothing.")] = None,
-    tab: Annotated[str | None, typer.Option(help=TAB_HELP)] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(help="Write a picture to this file and open nothing.", metavar="FILE")
+    ] = None,
+    tab: Annotated[str | None, typer.Option(help=TAB_HELP, metavar="NAME")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a folder's table as JSON only.")] = False,
 ) -> int:
     """See a run: while it happens, or afterwards; or several side by side."""
+    from orchestrator.recording import require_recording
+
+    of_run = len(paths) == 1 and paths[0].suffix != SUFFIX  # other views have tabs of their own
+    if of_run and tab is not None and tab not in TABS:
+        raise InputError("--tab", tab, f"no such tab; there are {', '.join(map(repr, TABS))}")
+    if screenshot is not None and screenshot.suffix != ".png":
+        raise InputError("--screenshot", str(screenshot), "expected a file that ends in .png")
     for path in paths:
         if not path.exists():
-            raise RecordingError(str(path), "", "no such file or directory")
+            require_recording(path)
     if len(paths) > 1:
         from orchestrator.runs import without_private
 
@@ -70,7 +79,7 @@ def view(
         return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
     runs = runs_in(path)
     if not runs:
-        raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
+        require_recording(path)
     if screenshot is not None or not (as_json or web or sys.stdout.isatty()):
         names = ", ".join(run.name for run in runs[:MAX_NAMES])
         more = f" and {len(runs) - MAX_NAMES} more" if len(runs) > MAX_NAMES else ""
@@ -217,10 +226,17 @@ def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
 
 def _picture(file: Path, to: Path, tab: str | None) -> int:
     from orchestrator.recording import replace_file
+    from orchestrator.runs import require_file_place
     from plugins.streams.rerun._shooting import headless_viewer, shoot
 
-    with headless_viewer() as viewer:
-        shots = shoot(viewer, file, tab, most=1 if tab is None else None)
+    require_file_place(to, "--screenshot")
+    try:
+        with headless_viewer() as viewer:
+            shots = shoot(viewer, file, tab, most=1 if tab is None else None)
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        raise PluginError("stream rerun", "viewer", f"ended before the picture was drawn ({error})") from error
     replace_file(to, shots[0].png)
     print(shown(str(to)))
     return 0

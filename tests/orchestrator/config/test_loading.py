@@ -292,7 +292,7 @@ def test_a_wrong_override_is_named_itself(override: str, problem: str) -> None:
 
 @given(value=st.floats(min_value=1e-6, max_value=1e6))
 def test_any_number_can_be_set(value: float) -> None:
-    assert load_procedure("demo", overrides=[f"limits.current_a={value!r}"]).limits.current_a == value
+    assert load_procedure("demo", overrides=[f"limits.energy_j={value!r}"]).limits.energy_j == value
 
 
 @given(override=st.text(max_size=20) | st.from_regex(r"(limits|stages|drive)(\.[a-z0-9_]{1,9}){0,3}=[^\n]{0,9}"))

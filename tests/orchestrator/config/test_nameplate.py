@@ -69,7 +69,16 @@ def test_check_says_it_and_degrees_are_no_radians() -> None:
 def test_a_refusal_names_the_slip_beside_what_is_refused() -> None:
     refused = called("check", "quick", "--set", "motor.stator_resistance_ohm=4250")
     assert refused.returncode == 2
-    assert "motor.stator_resistance_ohm: 4.25 would fit: is the stated value in milliohm?" in refused.stderr
+    slip = "motor.stator_resistance_ohm: 4.25 would fit: is the stated value in milliohm?"
+    assert f"=4250: {slip} As it is written, limits.voltage_v: " in refused.stderr
+
+
+def test_a_limit_of_another_unit_is_named_beside_the_rated_value() -> None:
+    refused = called("check", "quick", "--set", "limits.current_a=10 kA")
+    assert refused.returncode == 2
+    assert (
+        "limits.current_a: 10000 A is 4260 times the rated peak (motor.rated_current_rms_a is 1.66 A)" in refused.stderr
+    )
 
 
 def test_a_value_out_of_all_bounds_is_requested_its_unit() -> None:

@@ -12,7 +12,7 @@ from scipy.io import savemat
 from orchestrator.estimation import save_flux_map
 from orchestrator.flux_maps import load_map
 from orchestrator.flux_maps.exporting import export_map
-from protocols import InputError
+from protocols import FluxbenchError, InputError
 from tests.orchestrator.flux_maps.exporting.machines import L_D, L_Q, MOTOR, linear_map, saturated_map
 from tests.support.close import assert_close
 
@@ -104,14 +104,16 @@ def test_a_csv_that_is_no_map_is_one_line_that_names_the_column(tmp_path: Path, 
     [
         ("missing.csv", "missing.csv: no such file"),
         ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file"),
-        (
-            ".",
-            "results/flux_map.nc: no such file; `fluxbench estimate` makes it, or notes which stages it lacks",
-        ),
+        ("missing", "no such directory; expected the directory of a run or recording"),
+        (".", "a folder of runs, not a run"),
+        ("run", "results/flux_map.nc: no such file; `fluxbench estimate "),
+        ("run/run.json", "is a file of the run or recording"),
     ],
 )
 def test_what_is_not_there_is_stated(tmp_path: Path, name: str, message: str) -> None:
-    with pytest.raises(InputError) as caught:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.json").write_text("{}")
+    with pytest.raises(FluxbenchError) as caught:
         load_map(tmp_path / name)
     assert message in str(caught.value)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
-from orchestrator.formatting.explaining import accuracy_sentences, search_lines, search_rows
+from orchestrator.formatting.explaining import accuracy_sentences, search_legend, search_lines, search_rows
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -28,13 +28,30 @@ def test_a_gain_stands_beside_its_threshold_in_one_unit() -> None:
     assert rows[4][3:6] == ("–", "chi2 1.23", "chi2 1.5")
 
 
+def test_a_screen_and_a_refit_say_what_follows_and_large_gains_are_short() -> None:
+    recorder = SearchRecorder()
+    recorder.record("screen", ["dead_time"], measure="chi2", score=3.546e8, threshold=3.66e7, taken=None)
+    recorder.record("refit", ["dead_time"], measure="log_evidence", score=242829.0, threshold=16.0, taken=None)
+    recorder.record("screen", ["bus_sag"], measure="chi2", score=22.6, threshold=32.8, taken=False)
+    rows = search_rows(recorder.events)
+    assert [row[-1] for row in rows] == ["refitted next", "compared", "too small"]
+    assert rows[0][4:6] == ("Δchi2 3.55·10⁸", "Δchi2 3.66·10⁷")
+    assert rows[1][4] == "2.43·10⁵ nat"
+
+
+def test_a_legend_explains_the_moves_and_gains_that_occur() -> None:
+    legend = search_legend(some_moves().events)
+    assert [line.partition(":")[0] for line in legend] == [
+        "full model", "screen", "quantiser", "nat", "Δchi2", "%", "chi2",
+    ]  # fmt: skip
+
+
 def test_a_move_is_a_line() -> None:
     lines = search_lines(some_moves().events)
     assert (
-        lines[1]
-        == "2. add on a part of the recording: dead time; gain 12820 nat (threshold 16 nat); rejected: too small"
+        lines[1] == "2. add on a part of the recording: dead time; gain 12820 nat (needed 16 nat); rejected: too small"
     )
-    assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); accepted"
+    assert lines[4] == "5. quantiser; gain chi2 1.23 (needed chi2 1.5); accepted"
 
 
 def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:

@@ -54,7 +54,8 @@ def test_words_stay_as_they_are(text: str) -> None:
 def test_an_output_gets_what_its_encoding_can_take() -> None:
     plain = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     assert not can_print(plain)
-    assert for_output("20.00 mΩ, −3 ± 2 µV, 0.1 per A², ψ", plain) == "20.00 mohm, -3 +- 2 uV, 0.1 per A^2, ?"
+    text = "20.00 mΩ, −3 ± 2 µV, 0.1 per A², ψ, 2.4·10⁻⁵, λ"
+    assert for_output(text, plain) == "20.00 mohm, -3 +- 2 uV, 0.1 per A^2, psi, 2.4*10^-5, ?"
     whole = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     assert for_output("20.00 mΩ", whole) == "20.00 mΩ"
 

@@ -245,7 +245,9 @@ def test_a_wrong_field_of_the_manifest_is_named(make_recording: Make, edit: Call
 
 def test_no_recording_at_all_is_stated_so(tmp_path: Path) -> None:
     assert "no such directory" in complaint(lambda: open_recording(tmp_path / "nowhere"))
-    assert "not a run or recording: it has no recording.json" in complaint(lambda: open_recording(tmp_path))
+    assert "neither a run nor a recording: it has no run.json and no recording.json" in complaint(
+        lambda: open_recording(tmp_path)
+    )
 
 
 def test_a_run_that_was_cut_short_says_what_makes_its_manifest(make_recording: Make) -> None:

@@ -143,7 +143,7 @@ def test_a_broken_record_is_one_line(run: RunDirectory, content: bytes, problem:
 
 
 def test_another_directory_is_no_run(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="not a run directory"):
+    with pytest.raises(RecordingError, match="neither a run nor a recording"):
         RunDirectory.open(tmp_path)
 
 

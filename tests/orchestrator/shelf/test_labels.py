@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.shelf import relabel, save_labels
-from protocols import RecordingError, RunLabels
+from protocols import InputError, RecordingError, RunLabels
 from tests.orchestrator.shelf.example_runs import a_run
 
 
@@ -25,6 +25,12 @@ def test_labels_are_added_and_removed_and_kept_in_the_folder(tmp_path: Path) -> 
     }
 
 
+def test_a_tag_to_remove_has_to_be_there(tmp_path: Path) -> None:
+    folder = a_run(tmp_path / "one", about={"tags": ["cold"]})
+    with pytest.raises(InputError, match="warm: no such tag to remove; it has cold"):
+        relabel(folder, untag=["warm"])
+
+
 def test_all_labels_may_be_taken_away(tmp_path: Path) -> None:
     folder = a_run(tmp_path / "one", about={"tags": ["cold"]})
     save_labels(folder, RunLabels())
@@ -32,7 +38,7 @@ def test_all_labels_may_be_taken_away(tmp_path: Path) -> None:
 
 
 def test_labels_belong_to_a_run(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="not a run directory"):
+    with pytest.raises(RecordingError, match="neither a run nor a recording"):
         save_labels(tmp_path, RunLabels(tags=("cold",)))
 
 

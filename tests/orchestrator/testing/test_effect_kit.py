@@ -351,3 +351,18 @@ MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
 @pytest.mark.parametrize(("effect", "check"), MUTATIONS, ids=[f"{e.__name__}-{c}" for e, c in MUTATIONS])
 def test_fails_an_effect_that_breaks_the_contract(tmp_path: Path, effect: type[ExampleEffect], check: str) -> None:
     assert failures(kit_for(effect), tmp_path, only=check), f"{effect.__name__} passes {check}"
+
+
+@pytest.mark.parametrize(
+    ("effect", "cause"),
+    [
+        (WrongUnit, "bias_a_v is declared in A, but scales like a quantity in V: correct its unit"),
+        (HiddenSize, "the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor"),
+    ],
+)
+def test_an_effect_that_does_not_scale_with_the_machine_is_told_why(
+    tmp_path: Path, effect: type[ExampleEffect], cause: str
+) -> None:
+    (message,) = failures(kit_for(effect), tmp_path, only="of_another_size").values()
+    assert cause in message
+    assert "the effect should scale alike, but differs by" in message

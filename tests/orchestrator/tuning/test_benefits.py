@@ -72,3 +72,12 @@ def test_a_nameplate_that_is_right_at_one_point_is_right_there(tables: Tables) -
         update={"d_inductance_h": chord[0], "q_inductance_h": chord[1], "pm_flux_wb": INVERTER.psi_m}
     )
     assert benefits(tables, motor).torque_error_percent < benefits(tables).torque_error_percent
+
+
+def test_the_harmonics_are_at_the_same_speed_whatever_the_largest_one_is(tables: Tables) -> None:
+    motor = tables.motor.model_copy(update={"rated_speed_rpm": 1500.0})
+    speeds = [
+        benefits_of(machine_of(motor), limits, tables.references, tables.control, tables.compensation).speed_rad_s
+        for limits in (dataclasses.replace(LIMITS, speed_rad_s=speed) for speed in (2000.0, 3000.0))
+    ]
+    assert speeds[0] == speeds[1]

@@ -37,7 +37,7 @@ def test_what_is_given_comes_first() -> None:
         ({"speed_rpm": math.nan}, "expected a positive number"),
         ({"speed_rpm": 9e5}, "samples in an electrical turn"),
         ({"speed_rpm": 1e-3}, "expected 1 or more"),
-        ({"bus_v": 1e6}, "expected 1e[+]05 or less"),
+        ({"bus_v": 1e6}, "expected 100000 or less"),
         ({"sampling_hz": 10.0}, "is it in the right unit"),
         ({"current_a": 1e-3}, "expected 0.0566 or more"),
     ],

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.limits import DriveLimits
 from orchestrator.tuning.machine import Machine
-from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit
+from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit, largest_torque
 from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
 
@@ -131,3 +131,12 @@ def test_a_map_that_lacks_what_the_references_need_is_refused(
     holed = Machine(whole.motor, whole.flux_map.model_copy(update=tables), 1.0, 0.01)
     with pytest.raises(InputError, match=message):
         current_references(holed, LIMITS)
+
+
+def test_the_largest_torque_continues_the_references_and_falls_to_nothing() -> None:
+    made, references = MACHINES["buried magnets"], references_of("buried magnets")
+    at_nodes = largest_torque(made, LIMITS, references.psi_limit_wb[::8])
+    assert at_nodes == pytest.approx(references.torque_limit_nm[::8], rel=1e-6)
+    smaller = largest_torque(made, LIMITS, references.psi_limit_wb[0] * np.array([0.0, 0.5, 0.9, 1.0]))
+    assert smaller[0] == 0.0
+    assert (np.diff(smaller) >= 0.0).all()

@@ -35,7 +35,7 @@ def test_bad_words_end_with_2_and_leave_nothing_behind(tmp_path: Path) -> None:
 def test_a_queue_names_its_motors_and_their_folders_itself() -> None:
     done = called("commission", "--queue", "--serial", "PM-1")
     assert done.returncode == 2
-    assert done.stderr == "fluxbench: fluxbench commission: --queue: excludes --serial and --out\n"
+    assert done.stderr == "fluxbench: --queue: excludes --serial and --out\n"
 
 
 @pytest.mark.parametrize("passes", [True, False])

@@ -69,7 +69,7 @@ def kept(tmp_path: Path) -> Path:
         (["diagnose", DATA, "--without", "dead_tme"], "no such effect; did you mean 'dead_time'?"),
         (["diagnose", "nowhere"], "nowhere"),
         (["diagnose", DATA / "recording.json" / "x"], "x"),
-        (["diagnose", Path(__file__)], "is a file; expected the directory of a recording or run"),
+        (["diagnose", Path(__file__)], "is a file; expected the directory of a run or recording"),
         (["compare", "/dev/null"], "is a file"),
         (["diagnose"], "RECORDING"),
         (["diagnose", DATA, "--out", Path(__file__)], "is not a directory"),

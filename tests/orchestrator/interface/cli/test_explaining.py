@@ -42,9 +42,10 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert first.startswith(f"{diagnosed}: explained")
     assert second == "  chi2 per degree of freedom fell from 900 to 1.01; noise alone makes up to 1.08."
     rows = [" ".join(line.split()) for line in out.splitlines()]
-    assert "step move recording effects gain threshold chi2 decision" in rows
+    assert "step move recording effects gain needed chi2 outcome" in rows
     assert "2 add whole dead time 812 nat 16 nat – accepted" in rows
     assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
+    assert "screen: the fall of chi2 that each absent effect promises" in out
     assert "above 100 %" not in out
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
 
@@ -71,7 +72,7 @@ def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys:
     ("place", "problem"),
     [
         ("runs/first", "has no diagnosis yet; run `fluxbench diagnose"),
-        ("runs/first.sealed", "neither a run nor a recording, and has no diagnosis"),
+        ("runs/first.sealed", "neither a run nor a recording: it has no run.json and no recording.json"),
         ("runs", "a folder of runs, not a run; `fluxbench runs --folder"),
         ("nowhere", "no such directory"),
     ],

@@ -40,6 +40,44 @@ from orchestrator.interface.cli._usage import EXAMPLE
         ),
         ("runs --nonsense", "No such option: --nonsense; `fluxbench runs --help` lists what there is"),
         ("frobnicate", "No such command 'frobnicate'; `fluxbench --help` lists what there is"),
+        (
+            "explain runs/first runs/second",
+            "runs/second: `fluxbench explain` takes one RUN; `fluxbench compare RUN RUN...` compares several",
+        ),
+        (
+            "remove runs/first dead_time hysteresis",
+            "hysteresis: `fluxbench remove` takes one RECORDING and one EFFECT; `fluxbench remove --help` lists its "
+            "options",
+        ),
+        (
+            "run demo limits.current_a=3",
+            "limits.current_a=3: `fluxbench run` takes at most one PROCEDURE; a setting is given as "
+            "`--set limits.current_a=3`",
+        ),
+        ("wire can", "can: `fluxbench wire` takes no argument; `fluxbench wire --help` lists its options"),
+        (
+            "diagnose runs/first --material-flux -1",
+            "--material-flux: expected a number from 0 on, got '-1'; for example: --material-flux 0",
+        ),
+        (
+            "benchmark",
+            "fluxbench benchmark: expected a command: make, run, score; `fluxbench benchmark --help` describes them",
+        ),
+        (
+            "run demo --junit nowhere/x.xml",
+            "--junit: nowhere/x.xml: no such folder: nowhere",
+        ),
+        (
+            "run demo --from runs/first",
+            "--from: continues a run as it is: leave out PROCEDURE, --drive, --motor, --set, --out, --serial, "
+            "--operator, --ambient, --tag and --note",
+        ),
+        ("schema motor x", "schema: x: a name goes with `schema drive` alone; `schema motor` needs none"),
+        ("probe --serial /dev/nosuch", "--serial: /dev/nosuch: no such port; `fluxbench probe` alone looks on all"),
+        (
+            "export model.json --out pyproject.toml",
+            "pyproject.toml: is not a directory and is not overwritten: name another place",
+        ),
         ("diagnoze runs/first", "No such command 'diagnoze'. Did you mean 'diagnose'?"),
     ],
 )
@@ -79,3 +117,10 @@ def test_the_example_of_each_command_names_it_and_all_that_it_needs() -> None:
             assert len(words) >= sum(p.required for p in command.params), call
             seen += 1
     assert seen > 30
+
+
+def test_an_option_that_may_be_repeated_names_its_value_instead_of_a_python_type() -> None:
+    for path, application in applications():
+        for call, command in commands(typer.main.get_command(application), path):
+            unnamed = [p.opts for p in command.params if p.multiple and p.metavar is None]
+            assert not unnamed, f"{call}: {unnamed}"

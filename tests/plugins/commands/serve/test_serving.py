@@ -72,7 +72,7 @@ def test_a_run_is_started_requested_about_answered_and_stopped_by_two_browsers(s
     listed = served.get("/choices").content
     names = {one["name"]: one["problem"] for one in listed["procedures"]}
     assert names["asking.yaml"] == names["demo"] == ""
-    assert names["broken.yaml"].endswith("broken.yaml: format: missing")
+    assert "broken.yaml: format: missing; a procedure begins with `format: " in names["broken.yaml"]
     assert [one["name"] for one in listed["motors"]] == ["motors/servo.yaml"]
 
     wanted = {

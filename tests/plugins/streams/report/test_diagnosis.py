@@ -275,7 +275,8 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     assert text.index("Explained") < text.index("χ² is 1.02; noise makes up to 1.08.") < text.index("Where it fails")
     assert "0.4 % of its range (rms)" in text
     (folded,) = (part for part in re.findall(r"<details>.*?</details>", page, flags=re.S) if "Steps of" in part)
-    assert words_of(folded).split("decision ")[1].startswith("1 screen whole dead time Δχ² 60000 Δχ² 32 – tested 2")
+    first = words_of(folded).split("decision ")[1]
+    assert first.startswith("1 screen whole dead time Δχ² 60000 Δχ² 32 – refitted next 2")
     assert "Steps of the search (2)" in folded
 
 

@@ -39,7 +39,7 @@ def test_reasons_stand_first_and_the_search_last_a_line_for_each_move(pages: lis
     show(reported(reasons=[reason], search=recorder.events))
     page = pages[-1]
     assert page.startswith("# The diagnosis\n\n- chi2 is 1.02")
-    assert page.endswith("1. add: dead time; gain 812 nat (threshold 16 nat); accepted\n\n2. remove: bus sag; rejected")
+    assert page.endswith("1. add: dead time; gain 812 nat (needed 16 nat); accepted\n\n2. remove: bus sag; rejected")
 
 
 def test_an_older_diagnosis_has_its_slots_alone(pages: list[str]) -> None:

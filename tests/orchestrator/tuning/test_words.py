@@ -1,0 +1,49 @@
+"""The figures of a tuning in words: each says at which speed it holds, and what is a limit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestrator.tuning.benefits import ripple_of
+from orchestrator.tuning.tuning_report import TuningReport
+from orchestrator.tuning.words import figure_rows
+
+
+def a_report(**changed: object) -> TuningReport:
+    fields: dict[str, object] = {
+        "motor": "motor", "recording": "run", "method": "injection", "current_limit_a": 2.35, "bus_v": 394.0,
+        "sampling_hz": 1e4, "largest_torque_nm": 2.1, "base_speed_rpm": 3156.0, "largest_speed_rpm": 1800.0,
+        "torque_at_largest_speed_nm": 2.1, "bandwidth_hz": 447.5, "phase_margin_deg": 60.0,
+        "least_phase_margin_deg": 60.0, "margin_speeds_rpm": (0.0, 1800.0), "margins_deg": (60.0, 58.0),
+        "integral_hz": 44.75, "integral_limit_v": 227.0, "r_s_ohm": 4.25, "r_s_at_c": 20.0, "delay_s": 1.5e-4,
+        "compensated": (), "left_out": {}, "lost_v": 0.0, "constant_inductance_error_percent": 1.0,
+        "low_speed_rpm": 36.0, "harmonics_percent": 0.0, "harmonics_without_percent": 0.0,
+        "injection_works_percent": 100.0, "injection_error_deg": 23.5, "injection_error_at_a": (0.4, 2.3),
+        "injection_left_by_map_deg": 0.295, "observer_speed_rpm": 45.0, "observer_speed_warm_rpm": 356.0,
+    }  # fmt: skip
+    return TuningReport.model_validate(fields | changed)
+
+
+def test_a_torque_that_the_speed_limit_ends_is_told_from_one_that_the_voltage_ends() -> None:
+    rows = dict(figure_rows(a_report()))
+    assert rows["largest torque"].startswith("2.1 Nm at every speed up to the limit of 1800 rpm; the voltage")
+    rows = dict(figure_rows(a_report(largest_speed_rpm=4000.0, torque_at_largest_speed_nm=1.58)))
+    assert rows["largest torque"] == "2.1 Nm up to 3156 rpm; beyond, the voltage limits it"
+    assert rows["... left at the largest speed"] == "1.58 Nm at 4000 rpm"
+
+
+def test_position_errors_and_margins_name_their_speed_and_the_integral_part_its_limit() -> None:
+    rows = dict(figure_rows(a_report()))
+    assert "at standstill up to 23.5°" in rows["tracking by injection"]
+    assert "at standstill up to 0.295°" in rows["... corrected by the map"]
+    assert rows["... at the largest speed"] == "phase margin at least 58° at 1800 rpm"
+    assert "its output is limited to 227 V" in rows["... its integral part"]
+
+
+def test_the_ripple_of_a_wave_is_what_its_fundamental_leaves() -> None:
+    angle = 2.0 * math.pi * np.arange(360) / 360.0
+    wave = 2.0 * np.cos(angle + 0.3) + 0.01 * np.cos(5.0 * angle)
+    assert ripple_of(wave) == pytest.approx(0.01 * np.cos(5.0 * angle), abs=1e-12)
