@@ -54,9 +54,10 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
     """The whole page, as Markdown."""
     ordered = sorted(judgements, key=lambda j: (KINDS.index(j.answer.case.kind), j.answer.case.index))
     kinds = [j.answer.case.kind for j in ordered]
+    foreign = (name for name in NO_CATALOGUE if name not in SINCE_IN_CATALOGUE)
     introduction = INTRODUCTION.format(
         seed=seed, date=date, count=len(ordered), usual=usual, flux=MATERIAL_FLUX_PERCENT,
-        voltage=MATERIAL_VOLTAGE_PERCENT, foreign=", ".join(name for name in NO_CATALOGUE if name not in SINCE_IN_CATALOGUE), plans=", ".join(PLANS),
+        voltage=MATERIAL_VOLTAGE_PERCENT, foreign=", ".join(foreign), plans=", ".join(PLANS),
         counts=", ".join(f"{kinds.count(kind)} {kind.replace('_', ' ')}" for kind in dict.fromkeys(kinds)),
     )  # fmt: skip
     machine = _groups(ordered, lambda a: f"{a.case.family} ({'sharp' if a.case.rig.motor.sharp else 'soft'})")

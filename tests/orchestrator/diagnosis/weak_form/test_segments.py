@@ -14,8 +14,8 @@ from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
 from orchestrator.diagnosis.weak_form.segments import (
     block_means,
     clarke_of_three,
-    largest_command,
     injection_period,
+    largest_command,
     logged_fields,
     mean_between,
     since_the_start,
