@@ -30,6 +30,8 @@ class SignalBatch:
     v_dc, theta_rad, resistance_ohm, heat_j : array, shape (N,)
     v_late_ab, i_quiet_ab : array, shape (N, 2), or None
         None where no segment has one; else zeros, and the current, in segments that have none.
+    largest_command_abc : array, shape (N, 3), or None
+        None where no segment has one; else zeros in segments that have none.
     psi_ab, psi_smooth_ab, i_smooth_ab : array, shape (N, 2), or None
     inductance_ab : array, shape (N, 3), or None
         Inductance of the present model; None without one.
@@ -50,6 +52,7 @@ class SignalBatch:
     heat_j: RealArray
     v_late_ab: RealArray | None = None
     i_quiet_ab: RealArray | None = None
+    largest_command_abc: RealArray | None = None
     psi_ab: RealArray | None = None
     inductance_ab: RealArray | None = None
     psi_smooth_ab: RealArray | None = None
@@ -128,7 +131,7 @@ class SignalBatch:
 _FACTS = ("sampling_frequency_hz", "pwm_frequency_hz", "start_s", "turned_rad")
 _ALWAYS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j")
 _MODEL = ("psi_ab", "inductance_ab", "psi_smooth_ab", "i_smooth_ab")
-_OPTIONAL = ("v_late_ab", "i_quiet_ab", *_MODEL)
+_OPTIONAL = ("v_late_ab", "i_quiet_ab", "largest_command_abc", *_MODEL)
 
 
 def _laid(segments: Sequence[Signals], name: str) -> RealArray:
@@ -142,4 +145,6 @@ def _or_else(signals: Signals, name: str) -> RealArray:
     array: RealArray | None = getattr(signals, name)
     if array is not None:
         return array
-    return signals.i_ab if name == "i_quiet_ab" else np.zeros_like(signals.v_ab)
+    if name == "i_quiet_ab":
+        return signals.i_ab
+    return np.zeros((len(signals.v_dc), 3 if name == "largest_command_abc" else 2))

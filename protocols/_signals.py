@@ -105,6 +105,8 @@ class Signals:
     """Phase currents as the sensors read them [A], where the recording holds them; no effect changes them."""
     clarke_of_three: bool | None = None
     """Whether the vector was made of three readings (else of a and b); None where the recording does not tell."""
+    largest_command_abc: Phases | None = None
+    """Of a mean's readings, the part before which each phase had the largest command; None: rows are readings."""
     temperature_c: Samples | None = None
     """Logged temperature, where the drive has a thermometer."""
     start_temperature_c: float | None = None

@@ -119,7 +119,8 @@ def _opened(folder: Path, place: Path) -> Recording:
 
 def _verdict(report: DiagnosisReport) -> BenchmarkVerdict:
     if report.verdict in EXPLAINED:
-        return "explained"
+        # A cause that is none of the set's names is something else.
+        return "explained" if all(effect.name in effect_sizes() for effect in report.effects) else "unknown"
     return "clean" if report.verdict == "clean" else "unknown"
 
 
@@ -127,7 +128,7 @@ def _names(report: DiagnosisReport) -> list[NamedEffect]:
     named = []
     for effect in report.effects:
         if effect.name not in effect_sizes():
-            continue  # one of the user's own
+            continue  # newer than the set, or one of the user's own
         size = effect_sizes()[effect.name]
         value = effect.parameters.get(size.parameter)
         if value is None or value.value is None:

@@ -269,9 +269,12 @@ class Probes:
         return SignalBatch.of([current]), SignalBatch.of([self._signals(nothing, volts, self.bus_v)])
 
     def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
-        """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,)."""
+        """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,).
+
+        The voltage is that of R_s.
+        """
         held = np.repeat((DIRECTIONS[:, None, :] * phase_a[:, None]).reshape(-1, 2), HOLD_ROWS, axis=0)
-        return _holds_of(self._signals(held, np.zeros_like(held), bus_v, start_s=start_s))
+        return _holds_of(self._signals(held, self._model.r_s_ohm * held, bus_v, start_s=start_s))
 
     def _signals(
         self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: Array | float = 0.0

@@ -1,4 +1,4 @@
-"""Errors of the current sensors: gain, offset, drift, nonlinearity.
+"""Errors of the current sensors: gain, offset, drift, nonlinearity, a phase that is not read.
 
 With two sensors, in phases a and b, the third current is computed; with three, all form the vector, and the zero
 sequence drops out. A recording without phase currents is treated as one of two sensors.
@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
-from orchestrator.numerics.kernels import phases_of
-from orchestrator.numerics.types import Array
+from orchestrator.numerics.kernels import phases_of, vector_of
+from orchestrator.numerics.types import Array, Indices
 from orchestrator.numerics.zero_sequence import gains_of
 from plugins.effects._batches import BatchEffect, of_three_readings
 from plugins.effects._vectors import Starts, doubles, less_constant, times_matrix
@@ -32,6 +32,11 @@ from protocols import (
     amplitude,
     refinement,
 )
+
+_LOG_ROUNDING = 1e-3
+"""Sum of three logged phases over their largest that the rounding of a log explains."""
+_ACROSS = 0.5 * math.sqrt(3.0)
+"""Current of phases b and -c for one along beta."""
 
 
 def _vectors(read: Array, three: bool) -> Array:
@@ -108,6 +113,100 @@ class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
         gains = gains_of(signals)
         value = None if gains is None else gains.differ((-0.5, -0.5, 1.0))
         return None if value is None else self.Parameters(gain_c_minus_1=value)
+
+
+class ShuntReconstruction(BatchEffect, SegmentDependentEffect):
+    """Three low-side shunts read g_j i_j + o, and the leg with the largest command is minus the sum of the others.
+
+    The lower switch of that leg is on too briefly for its shunt to be read. With the sum S of all three, the vector is
+    that of three sensors, less S in the missing leg alone, whose vector u has a length of 2/3:
+
+        r = M i - u S,    M i the vector of (g_a i_a, g_b i_b, g_c i_c),    S = sum_j g_j i_j + 3 o.
+
+    It is solved for i. Every zero sequence of the modulation leaves the missing leg the same. The last command before
+    the reading decides; where a row is the mean of many readings, u is the mean of theirs. Gains are given by
+    g_a - g_b and g_c - (g_a + g_b) / 2, with a mean of 1. Offsets that differ from shunt to shunt move the vector by a
+    constant besides, and are a `CurrentOffset`.
+    """
+
+    name: ClassVar[str] = "shunt_reconstruction"
+    summary: ClassVar[str] = "Of three unequal low-side shunts one is not read, but minus the sum of the others."
+    signature: ClassVar[str] = "The current jumps where another phase's voltage becomes the largest."
+    layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = "A gain common to all shunts scales R_s and the flux together."
+
+    class Parameters(EffectParameters):
+        gain_a_minus_b: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
+        gain_c_minus_ab: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
+        common_offset_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)
+
+    def shows_in(self, signals: Signals) -> bool:
+        """Whether a phase may be reconstructed: not where three logged readings have a sum of their own."""
+        if not signals.bridge_on:
+            return False
+        if signals.i_abc is None or signals.clarke_of_three is None:
+            return True
+        largest = float(np.abs(signals.i_abc).max())
+        return bool(np.abs(signals.i_abc.sum(axis=1)).max() <= _LOG_ROUNDING * largest)
+
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
+        """Solve the readings for the currents; without any gate on, nothing is reconstructed."""
+        half, third = 0.5 * p.gain_a_minus_b, p.gain_c_minus_ab / 3.0
+        gains = np.array([1.0 + half - third, 1.0 - half - third, 1.0 + 2.0 * third])
+        # What the end of an interval has beside its mean makes it the command that came last.
+        commands = batch.v_ab if batch.v_late_ab is None else batch.v_ab + batch.v_late_ab
+        parts = np.zeros((0, 3)) if batch.largest_command_abc is None else doubles(batch.largest_command_abc)
+        rows = (doubles(batch.i_ab), doubles(commands), parts, batch.starts, _rows_to_command(batch))
+        return Correction(i_ab=_of_two_shunts(*rows, gains, 3.0 * p.common_offset_a))
+
+
+_OFF = 1 << 30
+"""In place of a number of rows: no gate is on."""
+
+
+def _rows_to_command(batch: SignalBatch) -> Indices:
+    """Rows from a reading to the voltage of the last command before it, (segments,); `_OFF` with all gates off."""
+    declared = 0.0 if batch.drive is None else batch.drive.voltage_delay_samples or 0.0
+    return np.array([math.floor(declared) - 1 if s.bridge_on else _OFF for s in batch.segments], dtype=np.intp)
+
+
+@njit(cache=True, nogil=True)
+def _of_two_shunts(
+    i_ab: Array, commands_ab: Array, parts: Array, starts: Starts, ahead: Indices, gains: Array, offsets: float
+) -> Array:
+    """Currents (N, 2) from readings of two shunts each; `offsets` is the sum of all shunts' [A].
+
+    The missing leg is by `parts` (N, 3), or where these are empty or zeros, by the largest of the commands.
+    """
+    out = i_ab.copy()
+    # Vector and sum of the gained phases of a unit current along alpha and beta.
+    aa, ba = vector_of(gains[0], -0.5 * gains[1], -0.5 * gains[2])
+    ab, bb = vector_of(0.0, _ACROSS * gains[1], -_ACROSS * gains[2])
+    sum_a, sum_b = gains[0] - 0.5 * (gains[1] + gains[2]), _ACROSS * (gains[1] - gains[2])
+    for s in range(starts.shape[0] - 1):
+        if ahead[s] == _OFF:
+            continue
+        first, last = starts[s], starts[s + 1] - 1
+        for k in range(first, last + 1):
+            a, b, c = 0.0, 0.0, 0.0
+            if parts.shape[0] > 0:
+                a, b, c = parts[k, 0], parts[k, 1], parts[k, 2]
+            if a + b + c == 0.0:
+                row = min(max(k + ahead[s], first), last)
+                v_a, v_b, v_c = phases_of(commands_ab[row, 0], commands_ab[row, 1])
+                if v_a >= v_b and v_a >= v_c:
+                    a = 1.0
+                elif v_b >= v_c:
+                    b = 1.0
+                else:
+                    c = 1.0
+            u, w = vector_of(a, b, c)
+            r_a, r_b = i_ab[k, 0] + u * offsets, i_ab[k, 1] + w * offsets
+            m_aa, m_ab, m_ba, m_bb = aa - u * sum_a, ab - u * sum_b, ba - w * sum_a, bb - w * sum_b
+            det = m_aa * m_bb - m_ab * m_ba
+            out[k, 0], out[k, 1] = (m_bb * r_a - m_ab * r_b) / det, (m_aa * r_b - m_ba * r_a) / det
+    return out
 
 
 class CurrentOffset(BatchEffect):

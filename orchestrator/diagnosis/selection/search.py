@@ -107,9 +107,9 @@ def best_first(
             view = linear_view(state.fitter, state.fit, library, _freeable(state, library))
             record_screen(state, view, library)
             state = replace(state, view=view)
-        # A joint model has no limit on its computing.
+        # A joint model has no limit on its computing; what is redundant goes even where nothing more may be added.
         is_over = state.fitter.budget.is_spent and not state.is_joint
-        better = None if is_over else first_accepted(state, _moves(state, library), tried)
+        better = first_accepted(state, remove_moves(state) if is_over else _moves(state, library), tried)
         if better is None:
             interim.record(state, steps)
             return state

@@ -49,7 +49,7 @@ USABLE = (
 _EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 _SAMPLED = (
     *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
-    *("i_quiet_ab", "i_abc", "temperature_c"),
+    *("i_quiet_ab", "i_abc", "largest_command_abc", "temperature_c"),
 )
 
 

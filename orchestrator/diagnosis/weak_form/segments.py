@@ -19,7 +19,7 @@ from orchestrator.diagnosis.weak_form.sensor_scatter import (
     scatter_of,
 )
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
-from orchestrator.numerics.frames import from_phases, from_two_phases, to_dq
+from orchestrator.numerics.frames import from_phases, from_two_phases, to_dq, to_phases
 from orchestrator.numerics.kernels import delayed_means
 from orchestrator.numerics.types import Array
 from protocols import (
@@ -184,6 +184,7 @@ def read_segment(
         motor=recording.manifest.motor,
         drive=drive,
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
+        largest_command_abc=largest_command(command_ab, width) if width > 1 else None,
         **logged_fields(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
@@ -230,6 +231,13 @@ def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
     late_by = math.floor(delay_samples)
     commands = np.ascontiguousarray(command_ab, dtype=np.float64)
     return np.asarray(delayed_means(commands, width, late_by, delay_samples - late_by), dtype=np.float64)
+
+
+def largest_command(command_ab: Array, width: int) -> Array:
+    """Part of each block of readings before which phase a, b, c had the largest command, (readings // width, 3)."""
+    before = np.argmax(to_phases(command_ab), axis=1)
+    before[1:] = before[:-1].copy()
+    return block_means(np.eye(3)[before], width)
 
 
 def block_means(x: Array, width: int) -> Array:

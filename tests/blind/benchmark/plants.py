@@ -124,7 +124,8 @@ def _foreign(row: Row) -> Made:
         resistance_ohm=rig.plant.resistance,
         flux=motor.iron.flux,
         span_d=motor.span_d,
-        hidden=[sealed(truth) for truth in case.truths],
+        # What the library has got since the set was frozen is none of its names.
+        hidden=[sealed(truth) for truth in case.truths if truth.name in effect_sizes()],
         foreign=case.foreign,
         also=sorted(BROUGHT) if row.case == "ordinary" else (),
         twins=[group for group, is_separable in zip(TWINS, apart, strict=True) if not is_separable],

@@ -66,10 +66,15 @@ class Case:
         return f"{self.kind}:{self.index}"
 
     @property
+    def judged_as(self) -> str:
+        """Its class; `single` where it was drawn as in no catalogue and is in one by now."""
+        return "single" if self.kind == "no_catalogue" and self.truths else self.kind
+
+    @property
     def hidden(self) -> str:
         """In words."""
         largest = sorted(self.truths, key=lambda truth: -truth.size)
-        words = [str(truth) for truth in largest[:3]] + ([self.foreign] if self.foreign else [])
+        words = [str(truth) for truth in largest[:3]] + ([self.foreign] if self.foreign and not self.truths else [])
         words += [f"and {len(largest) - 3} up to {largest[3].size:.2g}"] if len(largest) > 3 else []
         return ", ".join(words) or "nothing"
 
@@ -275,6 +280,19 @@ NO_CATALOGUE: dict[str, Callable[[Rng, Motor], dict[str, Any]]] = {
 magnetised, a turn of phase a that is shorted, rows that a logger loses, shunts that warm up: in no catalogue."""
 
 
+def _shunt_reconstruction(p: Plant) -> Truth:
+    gains = np.array([p.gain_a, p.gain_b, p.gain_c])
+    a, b, c = (float(g) for g in gains / gains.mean())
+    two, third = a - b, c - 0.5 * (a + b)
+    amounts = {"gain of a minus b": (two, two), "gain of c minus a and b": (third, third)}
+    return Truth("shunt_reconstruction", max(abs(two), abs(third)) / 0.01, amounts)
+
+
+SINCE_IN_CATALOGUE: dict[str, Callable[[Plant], Truth]] = {"shunts_of_unequal_gain": _shunt_reconstruction}
+"""Of these, what the library has by now. A case is judged like a single effect, and drawn as before: other cases of a
+seed stay what they are."""
+
+
 def draw_case(kind: str, index: int, seed: int) -> Case:
     """The case of a class with this number; raises `ValueError` for a class that there is not."""
     if kind not in KINDS:
@@ -320,4 +338,5 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
         odd = NO_CATALOGUE[foreign](rng, motor)
         lost = odd.pop("lost_rows", 0.0)
         rig = replace(rig, plant=rig.plant._replace(**odd), lost_rows=lost)
+        truths += [SINCE_IN_CATALOGUE[foreign](rig.plant)] if foreign in SINCE_IN_CATALOGUE else []
     return Case(kind, index, family, rig, tuple(truths), foreign)

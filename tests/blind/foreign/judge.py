@@ -31,9 +31,12 @@ DIRECT: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "current_filter": {"lag, s": ("time_constant_s", 1.0)},
     "voltage_delay": {"lag, s": ("delay_s", 1.0)},
     "current_gain_mismatch": {"gain of a minus b": ("gain_a_minus_b", 1.0)},
+    "shunt_reconstruction": {
+        "gain of a minus b": ("gain_a_minus_b", 1.0), "gain of c minus a and b": ("gain_c_minus_ab", 1.0),
+    },
     "rotor_misalignment": {"angle, degrees": ("angle_rad", 180.0 / np.pi)},
     "current_offset": {"offset of a, A": ("offset_a_a", 1.0), "offset of b, A": ("offset_b_a", 1.0)},
-}
+}  # fmt: skip
 """By effect, which parameter of the answer is which amount of the truth, and its factor."""
 
 
@@ -82,7 +85,7 @@ def judge(answer: Answer) -> Judgement:
     delivered, explains = answer.delivered, report["verdict"] in ("clean", *EXPLAINED)
     if delivered is not None and (delivered["usable"] or explains):
         right[f"usable or explained: map within {MAP_PERCENT:g} %"] = delivered["map_percent"] <= MAP_PERCENT
-    sizes = tuple(_sizes(answer, report)) if case.kind in ("single", "double", "plans") else ()
+    sizes = tuple(_sizes(answer, report)) if case.judged_as in ("single", "double", "plans") else ()
     return Judgement(answer, right, sizes)
 
 
@@ -97,7 +100,7 @@ def _right(answer: Answer, report: dict[str, Any]) -> dict[str, bool]:
     names = [truth.name for truth in case.truths]
     found = [names_of(case, effect) for effect in report["effects"]]
     listed = [*found, *(names_of(case, effect) for effect in report["minor"])]
-    unknown, kind = report["verdict"] == "unknown_remains", case.kind
+    unknown, kind = report["verdict"] == "unknown_remains", case.judged_as
     if kind == "no_catalogue":
         return {"in no catalogue: unknown flagged": unknown}
     if kind == "ordinary":

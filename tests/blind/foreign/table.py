@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from tests.blind.foreign.cases import KINDS, NO_CATALOGUE
+from tests.blind.foreign.cases import KINDS, NO_CATALOGUE, SINCE_IN_CATALOGUE
 from tests.blind.foreign.examine import Answer
 from tests.blind.foreign.judge import MAP_PERCENT, MATERIAL_FLUX_PERCENT, MATERIAL_VOLTAGE_PERCENT, Judgement
 from tests.blind.foreign.plans import PLANS
@@ -27,7 +27,7 @@ plans have other forms than those of [the blind suite](blind-suite.md). To exami
 | iron | eddy currents of half order (six branches), vector Preisach hysteresis |
 | inverter | dead time by the charge of output capacitances, a knee by the inverse hyperbolic sine, short pulses |
 | bus, winding, brake | two resistors with two capacitors, a thermal ladder, a spring with LuGre friction |
-| sensors | Hall sensors of second order, offsets, unequal gains, a wrong angle, a late voltage |
+| sensors | Hall sensors of second order, offsets, unequal gains, reconstructed shunts, a wrong angle, a late voltage |
 | in no catalogue | {foreign} |
 | plans | {plans} |
 
@@ -54,9 +54,10 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
     """The whole page, as Markdown."""
     ordered = sorted(judgements, key=lambda j: (KINDS.index(j.answer.case.kind), j.answer.case.index))
     kinds = [j.answer.case.kind for j in ordered]
+    foreign = (name for name in NO_CATALOGUE if name not in SINCE_IN_CATALOGUE)
     introduction = INTRODUCTION.format(
         seed=seed, date=date, count=len(ordered), usual=usual, flux=MATERIAL_FLUX_PERCENT,
-        voltage=MATERIAL_VOLTAGE_PERCENT, foreign=", ".join(NO_CATALOGUE), plans=", ".join(PLANS),
+        voltage=MATERIAL_VOLTAGE_PERCENT, foreign=", ".join(foreign), plans=", ".join(PLANS),
         counts=", ".join(f"{kinds.count(kind)} {kind.replace('_', ' ')}" for kind in dict.fromkeys(kinds)),
     )  # fmt: skip
     machine = _groups(ordered, lambda a: f"{a.case.family} ({'sharp' if a.case.rig.motor.sharp else 'soft'})")

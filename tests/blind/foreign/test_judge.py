@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.blind.foreign.cases import EFFECTS, Case, draw_case
+from tests.blind.foreign.cases import EFFECTS, NO_CATALOGUE, Case, draw_case
 from tests.blind.foreign.examine import Answer
 from tests.blind.foreign.judge import judge, names_of
 from tests.blind.foreign.machines import FAMILIES
@@ -68,6 +68,23 @@ def test_what_is_in_no_catalogue_has_to_be_flagged() -> None:
     case = replace(case_of("voltage_delay"), kind="no_catalogue", truths=(), foreign="shorted_turn")
     assert judge(answer(case, "unknown_remains", effect("skin_effect"))).wrong == []
     assert judge(answer(case, "explained", effect("skin_effect"))).wrong
+
+
+def test_what_a_catalogue_has_got_since_is_judged_like_a_single_effect() -> None:
+    index = list(NO_CATALOGUE).index("shunts_of_unequal_gain")
+    case = draw_case("no_catalogue", index, 0)
+    (truth,) = case.truths
+    two, third = (amount[0] for amount in truth.amounts.values())
+    stated = effect(
+        "shunt_reconstruction",
+        gain_a_minus_b=parameter(two, two - 1e-3, two + 1e-3),
+        gain_c_minus_ab=parameter(third, third - 1e-3, third + 1e-3),
+    )
+    right = judge(answer(case, "explained", stated))
+    assert right.wrong == []
+    assert all(size.inside for size in right.sizes)
+    assert len(right.sizes) == 2
+    assert judge(answer(case, "unknown_remains", effect("skin_effect"))).wrong
 
 
 def test_a_usable_map_has_to_be_within_a_percent() -> None:

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plugins.effects.sensors import ShuntReconstruction
+from protocols import Signals
 from tests.blind.foreign.cases import hall_transition
 from tests.blind.foreign.inverter import CHARGE_POINTS, CHARGE_REACH, charge_table, phase_loss
 from tests.blind.foreign.iron import Array, Iron, tabulated
@@ -236,6 +238,27 @@ def test_shunts_of_equal_gain_read_what_two_sensors_read(linear: Iron) -> None:
     unequal, _, _ = respond(PLAIN._replace(shunts=1.0, gain_c=1.02), linear, wave)
     assert three == pytest.approx(two, abs=1e-12)
     assert np.abs(unequal - two).max() > 1e-3
+
+
+def test_the_library_s_effect_undoes_reconstructed_shunts(linear: Iron) -> None:
+    t = TS * np.arange(400)
+    wave = 20.0 * np.stack([np.cos(40.0 * t), np.sin(40.0 * t)], axis=1)
+    wave += np.where(np.arange(400) % 20 < 10, 60.0, -60.0)[:, None] * [[0.8, 0.6]]
+    true, v, _ = respond(PLAIN, linear, wave)
+    plant = PLAIN._replace(shunts=1.0, gain_a=1.02, gain_b=0.99, gain_c=0.99)
+    read, _, _ = respond(plant, linear, wave)
+    rows = len(t)
+    signals = Signals(
+        start_s=0.0, sampling_frequency_hz=1.0 / TS, pwm_frequency_hz=1.0 / TS, i_ab=read, v_ab=v,
+        v_dc=np.full(rows, BUS_V), theta_rad=np.zeros(rows), resistance_ohm=np.full(rows, R), i_m_ab=read,
+        heat_j=np.zeros(rows),
+    )  # fmt: skip
+    effect = ShuntReconstruction()
+    undone = effect.correct(signals, effect.Parameters(gain_a_minus_b=0.03, gain_c_minus_ab=-0.015)).i_ab
+    assert np.abs(read - true).max() > 0.01
+    # The first reading's command is not in the recording.
+    assert undone is not None
+    assert undone[1:] == pytest.approx(true[1:], abs=1e-12)
 
 
 def test_short_pulses_are_left_out_at_the_rails_only(linear: Iron) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
-from orchestrator.benchmark.answering import flux_at
-from protocols import FluxMap
+from orchestrator.benchmark.answering import flux_at, stated
+from protocols import DiagnosisReport, FluxMap
 
 
 def saturated(i_d: np.ndarray, i_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -34,3 +36,12 @@ def test_flux_between_nodes_is_smooth_and_holes_are_not_known() -> None:
         assert known is not None
         expected = [float(axis[0]) for axis in saturated(np.array([point[0]]), np.array([point[1]]))]
         assert np.allclose(known, expected, atol=3e-5), point
+
+
+def test_a_cause_that_is_none_of_the_set_s_names_is_unknown() -> None:
+    causes = [SimpleNamespace(name=name, parameters={}) for name in ("dead_time", "newer_than_the_set")]
+    for effects, verdict in ((causes[:1], "explained"), (causes, "unknown")):
+        report = DiagnosisReport.model_construct(verdict="explained", effects=effects)
+        answer = stated(report, None, {"id": "r001"}, 1.0)
+        assert answer.verdict == verdict
+        assert [one.name for one in answer.names] == ["dead_time"]

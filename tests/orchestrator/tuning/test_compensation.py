@@ -23,6 +23,7 @@ from plugins.effects.sensors import (
     CurrentNonlinearity,
     CurrentOffset,
     CurrentOffsetDrift,
+    ShuntReconstruction,
     ThirdCurrentSensor,
 )
 from plugins.effects.timing import CurrentFilter, VoltageDelay
@@ -223,6 +224,14 @@ def test_a_gain_of_the_third_sensor_counts_where_three_make_the_vector() -> None
     two = one(ThirdCurrentSensor(), clarke_of_three=False, gain_c_minus_1=0.03)
     neutral(two)
     assert [left.name for left in two.left_out] == ["third_current_sensor"]
+
+
+def test_shunts_that_are_read_in_turns_are_compensated_on_the_mean() -> None:
+    found = one(ShuntReconstruction(), gain_a_minus_b=0.04)
+    # At rest the leg with the largest voltage has the largest current: b and c in turns, or a and one of these.
+    assert 0.0 < np.abs(found.current_gain - np.eye(2)).max() < 0.03
+    assert [left.name for left in found.left_out] == ["shunt_reconstruction"]
+    assert "in part" in found.left_out[0].reason
 
 
 def test_offsets_are_subtracted() -> None:

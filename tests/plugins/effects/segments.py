@@ -46,6 +46,8 @@ def segments_with_a_model() -> list[Signals]:
             extra["i_quiet_ab"] = bare.i_ab + 1e-3 * rng.normal(size=(n, 2))
         if k not in (2, 7):
             extra["came_from_ab"] = rng.normal(size=(1 + k % 3, 2))
+        if k % 4 == 1:
+            extra["largest_command_abc"] = rng.dirichlet(np.ones(3), n)
         if k != 1:
             extra |= {"temperature_c": 24.0 + rng.normal(size=n)}
         if k % 2:

@@ -37,4 +37,4 @@ for _info in installed(PluginKind.EFFECTS):
 
 
 def test_none_is_left_out() -> None:
-    assert sum(issubclass(kit, EffectConformance) for n, kit in globals().items() if n.startswith("Test_")) == 23
+    assert sum(issubclass(kit, EffectConformance) for n, kit in globals().items() if n.startswith("Test_")) == 24

@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.progress import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import Budget, SearchRecorder
 from orchestrator.diagnosis.selection import search as search_module
 from orchestrator.diagnosis.selection.adding import full_model
 from orchestrator.diagnosis.selection.scoring import linear_view
@@ -59,6 +59,16 @@ def test_the_search_names_what_is_there_and_nothing_beside_it(biased: Fitter) ->
     search = _searched(biased, library)
     assert [step.added for step in search.steps] == [None, "voltage_bias"]
     assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
+
+
+def test_what_is_redundant_goes_although_the_budget_is_spent(biased: Fitter) -> None:
+    maker = replace(biased, budget=Budget(limit=0.0, spent=1.0), trace=SearchRecorder())
+    library = scaled_library([VoltageBias(), DeadTime(), VoltageDelay()], maker.prepared.manifest)
+    both = free_model().with_active([c.absent() for c in library[:2]])
+    state = state_of(maker, maker.fit(both))
+    found = best_first(state, [AcceptedModel(None, state.fit)], library, InterimRecorder())
+    assert found.fit.model.names == ("voltage_bias",)
+    assert {event.move for event in maker.trace.events} == {"screen", "remove"}
 
 
 def test_noise_alone_is_given_no_name() -> None:

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.weak_form.segments import (
     block_means,
     clarke_of_three,
     injection_period,
+    largest_command,
     logged_fields,
     mean_between,
     since_the_start,
@@ -153,6 +154,13 @@ def test_what_is_a_rounded_zero_throughout_was_not_read(unread: int, angle: floa
     noisy = rounded[0] + np.random.default_rng(4).normal(0.0, 1e-4, rounded[0].shape)
     assert unread_axis(one.segment, noisy, rounded[1]) is None
     assert unread_axis(one.segment, 0.0 * rounded[0], 0.0 * rounded[1]) is None
+
+
+def test_the_largest_command_is_counted_before_each_reading_of_a_mean() -> None:
+    a, b, c = [1.0, 0.0], [-0.5, 0.9], [-0.5, -0.9]
+    parts = largest_command(np.array([a, a, b, c, c, a, b]), 3)
+    # Before the readings: a (none is known), a, a; b, c, c; the last block is incomplete.
+    np.testing.assert_allclose(parts, [[1.0, 0.0, 0.0], [0.0, 1 / 3, 2 / 3]])
 
 
 def _phases(*, gain_c: float = 1.0, noise_a: float = 0.004) -> Array:
