@@ -140,6 +140,26 @@ def _coarsen_map(state: SearchState) -> SearchState | None:
     return None if keeps else state.after(usual)
 
 
+def map_for_effect_moves(state: SearchState) -> Iterator[Move]:
+    """Put the finest map in the place of an effect, which may have stood for it beside a coarser one."""
+    if not state.is_part and has_fine_grid(state.fit):
+        for name in state.fit.model.names:
+            yield Move("remove", (name, "map"), partial(_map_for_effect, state, name), is_once=True)
+
+
+def _map_for_effect(state: SearchState, name: str) -> SearchState | None:
+    fit = state.fit
+    others = [active for active in fit.model.active if active.name != name]
+    bare = state.fitter.fit(with_fixed_effects(fit.model.with_active(others)), fit.linearisation)
+    finest = with_finest_map(state.setup, state.fitter, bare)
+    trial = state.minimum(finest.model.with_active(others), finest)
+    gain, least = (map_log_evidence(trial) - map_log_evidence(fit)) / state.noise, -state.limits.log_evidence
+    taken = gain >= least
+    note = "the finest map in its place" if taken else ""
+    state.record("remove", (name,), trial, gain, least, taken=taken, note=note)
+    return state.after(trial) if taken else None
+
+
 def with_fixed_effects(model: Model) -> Model:
     """The model with all effect parameters fixed."""
     return model.with_active([replace(active, free=()) for active in model.active])

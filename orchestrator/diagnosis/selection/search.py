@@ -18,6 +18,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
     kink_moves,
+    map_for_effect_moves,
     map_moves,
     noise_moves,
     with_detected_quantiser,
@@ -150,6 +151,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     else:
         yield from fix_moves(state)
     yield from kink_moves(state)
+    yield from map_for_effect_moves(state)
     yield from coarser_map_moves(state)
 
 
