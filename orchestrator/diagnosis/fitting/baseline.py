@@ -224,7 +224,7 @@ def fit_baseline(setup: DiagnosisSetup) -> Fit:
     if part.chi2_per_dof > MAX_CHI2_FOR_FINER_MAP:
         # Such a misfit is a missing effect, to which a fine map would adapt.
         part = coarsest
-    fit = setup.fitter.fit(part.model, relinearisations=0)
+    fit = setup.fitter.fit(part.model, relinearisations=2)
     # A large misfit is a missing effect; the resolution is reconsidered when the effects are known.
     worth_it = LEAST_CHI2_FOR_FINER_MAP < fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
     return with_finest_map(setup, setup.fitter, fit) if worth_it else with_local_roughness(setup, setup.fitter, fit)

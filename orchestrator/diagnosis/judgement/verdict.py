@@ -129,9 +129,23 @@ def _widths(active: EffectTerm, names: Iterable[str]) -> float:
 
 def held_out_chi2(fit: Fit) -> float | None:
     """Mean square of the held-out residual over noise and the uncertainty of R_s and the map; None without any."""
-    squares, rows = 0.0, 0
+    squares, _, rows = _prediction(fit)
+    return squares / rows if rows else None
+
+
+def prediction_gain(trial: Fit, fit: Fit) -> float:
+    """Gain in log likelihood of the held-out stages, which neither fit has seen; their excess chi2 counts as noise."""
+    (squares, log_det, rows), (before, log_det_before, _) = _prediction(trial), _prediction(fit)
+    noise = max(min(squares, before) / rows, 1.0) if rows else 1.0
+    return -0.5 * ((squares - before) / noise + log_det - log_det_before)
+
+
+def _prediction(fit: Fit) -> tuple[float, float, int]:
+    """Squared held-out residual over its covariance, the log determinant of that, and the number of rows."""
+    squares, log_det, rows = 0.0, 0.0, 0
     for k, covariance in held_out_covariance(fit).items():
         e = fit.residual[k]
         squares += float(e @ np.linalg.solve(covariance, e))
+        log_det += float(np.linalg.slogdet(covariance)[1]) + fit.linearisation.pieces[k].whitener.log_det
         rows += len(e)
-    return squares / rows if rows else None
+    return squares, log_det, rows

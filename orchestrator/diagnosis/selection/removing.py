@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
+from orchestrator.diagnosis.judgement.verdict import prediction_gain
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -52,8 +53,9 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
     out = [name for name in redundant_terms(state.fit) if name not in state.needed]
     if out:
         yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
-    elif not state.is_part and not state.is_explained and (factors := log_bayes_factors(state.fit)):
-        # To first order all are needed; the fit may have stopped where the others leave less without one.
+    elif not state.is_part and (factors := log_bayes_factors(state.fit)):
+        # To first order all are needed; the fit may have stopped where the others leave less without one, or the
+        # weakest may fit noise, and stages that were held out tell.
         weakest = min(factors, key=lambda name: factors[name])
         if weakest not in state.needed:
             yield Move("remove", (weakest,), partial(_remove_redundant, state, [weakest]))
@@ -86,6 +88,8 @@ def _remove_redundant(state: SearchState, out: Sequence[str], *, is_refused: boo
 def _remove(state: SearchState, out: Sequence[str]) -> SearchState | None:
     trial = _without(state, out)
     lost, max_loss = evidence_gain(state.fit, trial), state.limits.log_evidence * len(out)
+    if not state.is_part:
+        lost += prediction_gain(state.fit, trial)
     state.record("remove", tuple(out), trial, -lost, -max_loss, taken=lost <= max_loss)
     if lost > max_loss:
         return None
