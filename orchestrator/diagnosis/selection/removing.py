@@ -13,6 +13,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.form_mixture import mix_forms
 from orchestrator.diagnosis.judgement.intervals import certainty
 from orchestrator.diagnosis.judgement.verdict import prediction_gain
 from orchestrator.diagnosis.selection.contrasts import separable
@@ -28,10 +29,14 @@ from orchestrator.diagnosis.selection.scoring import (
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.sentences import listed
 from protocols import ParameterRole
 
 MAX_EVIDENCE_DEFICIT: float = 0.1
 """Part of an effect's log evidence that another may lack in its place, by prediction and after one step."""
+MAX_EFFECTS_IN_OTHER_FORMS: int = 4
+"""Number of effects up to which each is compared with other forms of the others: each form is an evaluation."""
 NOTEWORTHY_CHI2: float = 1.5
 """chi2 per degree of freedom without an effect above which no refinement of another can replace it."""
 MINOR_EFFECT_SIZE: float = 0.15
@@ -63,6 +68,29 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
         minor = sorted((a for a in state.fit.model.active if _is_minor(state, a)), key=lambda a: a.relative_size)
         for active in minor:
             yield Move("remove", (active.name, "minor"), partial(_remove_minor, state, active))
+
+
+def other_form_moves(state: SearchState) -> Iterator[Move]:
+    """Remove an effect that is rather another one's form, by the evidence of a mixture of the others' forms."""
+    others = len(state.fit.model.active) - 1
+    if not state.is_part and 1 <= others < MAX_EFFECTS_IN_OTHER_FORMS:
+        factors = log_bayes_factors(state.fit)
+        for name in sorted(factors, key=lambda name: factors[name]):
+            yield Move("remove", (name, "form"), partial(_remove_other_form, state, name), is_once=True)
+
+
+def _remove_other_form(state: SearchState, name: str) -> SearchState | None:
+    trial = _without(state, [name])
+    if trial.chi2_per_dof - 1.0 > state.fit.criteria.verdict.immaterial_excess_chi2:
+        return None
+    mixture = mix_forms(state.fitter, trial, trial.model.names)
+    if mixture is None:
+        return None
+    worth, by_forms = evidence_gain(state.fit, trial), mixture.log_evidence / state.noise
+    taken = by_forms > worth
+    note = f"another form of {listed([plain(n) for n in mixture.effects])} has more evidence" if taken else ""
+    state.record("remove", (name,), trial, by_forms - worth, 0.0, taken=taken, note=note)
+    return replace(state.after(trial), refused=(*state.refused, name)) if taken else None
 
 
 def _without(state: SearchState, names: Sequence[str]) -> Fit:

@@ -25,7 +25,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
     with_fixed_effects,
 )
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
-from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
+from orchestrator.diagnosis.selection.removing import merge_moves, other_form_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, redundant_terms, score
 from orchestrator.diagnosis.selection.search_state import (
     MAX_SHAPE_ROUNDS,
@@ -152,6 +152,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         yield from fix_moves(state)
     yield from kink_moves(state)
     yield from map_for_effect_moves(state)
+    yield from other_form_moves(state)
     yield from coarser_map_moves(state)
 
 

@@ -11,7 +11,13 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, left_of_excitation
 from orchestrator.diagnosis.judgement.judge import judge
-from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of, verdict_record
+from orchestrator.diagnosis.judgement.verdict import (
+    fitted_verdict,
+    held_out_chi2,
+    prediction_gain,
+    residual_fraction_of,
+    verdict_record,
+)
 from plugins.effects.inverter import DeadTime
 from protocols import SegmentStage, Verdict
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
@@ -124,6 +130,17 @@ def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
     assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
     assert verdict_of(_with_chi2(fit, 900.0), worse, 1) != "explained"
     assert fitted_verdict(_with_chi2(fit, 900.0), worse) == "explained"  # and decides on no name
+
+
+def test_a_worse_prediction_of_held_out_stages_is_a_loss_by_its_squares(fit: Fit) -> None:
+    off = [e + 0.5 if p.held_out else e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True)]
+    worse = replace(fit, residual=tuple(off))
+    rows = sum(len(e) for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if p.held_out)
+    before, after = held_out_chi2(fit), held_out_chi2(worse)
+    assert before is not None
+    assert after is not None
+    assert prediction_gain(fit, fit) == 0.0
+    assert prediction_gain(worse, fit) == pytest.approx(-0.5 * rows * (after - before) / max(before, 1.0))
 
 
 def _denied(fit: Fit, sigmas: float, of_material: float) -> Fit:

@@ -10,10 +10,12 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.form_mixture import FormMixture
 from orchestrator.diagnosis.selection import removing, scoring
-from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
+from orchestrator.diagnosis.selection.removing import merge_moves, other_form_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.scoring import redundant_terms
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.search_state import SearchState, evidence_gain
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentOffset
@@ -64,9 +66,7 @@ def test_what_is_not_needed_goes_although_a_weaker_effect_is(biased: Fitter, mon
     assert after.needed == {"voltage_bias"}
 
 
-def test_the_weakest_effect_is_left_out_on_trial_on_the_whole(
-    biased: Fitter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_weakest_effect_is_left_out_on_trial_on_the_whole(biased: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
     library = scaled_library([VoltageBias(), PhaseResistanceImbalance()], biased.prepared.manifest)
     state = replace(joint_state(biased, [c.absent() for c in library]), is_part=False)
     monkeypatch.setattr(removing, "redundant_terms", lambda _: [])
@@ -75,6 +75,40 @@ def test_the_weakest_effect_is_left_out_on_trial_on_the_whole(
     assert move.concerned == ("phase_resistance_imbalance",)
     after = made(move)
     assert after.fit.model.names == ("voltage_bias",)
+
+
+@pytest.mark.parametrize(("part_of_worth", "stays"), [(0.5, True), (2.0, False)])
+def test_what_other_forms_of_the_others_explain_with_more_evidence_goes(
+    biased: Fitter, part_of_worth: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = scaled_library([VoltageBias(), PhaseResistanceImbalance()], biased.prepared.manifest)
+    state = replace(joint_state(biased, [c.absent() for c in library]), is_part=False)
+    asked = []
+
+    def mixture(_: Fitter, trial: Fit, names: tuple[str, ...]) -> FormMixture:
+        asked.append(names)
+        worth = evidence_gain(state.fit, trial) * state.noise
+        return FormMixture(names, 0.5, worth + (part_of_worth - 1.0) * abs(worth), np.zeros(0), np.zeros((0, 0)))
+
+    monkeypatch.setattr(removing, "mix_forms", mixture)
+    (weakest, _) = other_form_moves(state)
+    assert weakest.concerned[0] == "phase_resistance_imbalance"
+    after = weakest.make()
+    assert asked == [("voltage_bias",)]
+    assert (after is None) == stays
+    assert after is None or after.refused == ("phase_resistance_imbalance",)
+    assert not list(other_form_moves(replace(state, is_part=True)))
+
+
+def test_what_only_fits_the_noise_of_the_fitted_stages_goes_by_the_held_out_ones(
+    biased: Fitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (bias,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    state = replace(joint_state(biased, [bias.absent()]), is_part=False)
+    (move,) = remove_moves(state)
+    assert made(move).fit is state.fit
+    monkeypatch.setattr(removing, "prediction_gain", lambda *_: -1e9)
+    assert made(move).fit.model.names == ()
 
 
 def _with_resistance(of_resistance: float) -> SearchState:
