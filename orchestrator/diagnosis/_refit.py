@@ -159,7 +159,9 @@ def _added(
     stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
     remaining = bound_remarks(steps[-1].fit, stated)
     besides = (*alternative_remarks(alternatives), *pair_remarks(pairs))
-    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining, *besides)})
+    together = (*benefits, *report.remarks, *remaining, *besides)
+    # Wrong units or frames make the benefit of an effect meaningless.
+    return report.model_copy(update={"remarks": tuple(sorted(together, key=lambda one: one.code != "convention"))})
 
 
 def _present(pairs: Sequence[tuple[str, str]], name: str, before: Fit) -> list[str]:
