@@ -14,7 +14,7 @@ from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_m
 from orchestrator.flux_maps import MapSurface
 from orchestrator.numerics.types import Array
 from orchestrator.runs import open_any
-from protocols import EstimationReport, FluxMap, FoundEffect, Interval, Manifest
+from protocols import EstimationReport, FluxMap, FoundEffect, Interval, Manifest, ParameterValue
 
 _HALF_INTERVAL_SIGMAS = 1.96
 """Standard deviations in half of a 95 % interval."""
@@ -61,9 +61,7 @@ class RunSummary:
             unit = next((p.unit for p in effect.parameters.values()), "")
             for name, p in effect.parameters.items():
                 if p.unit == unit:
-                    known = p.value is not None and p.low is not None and p.high is not None
-                    interval = Interval.model_validate(p.model_dump(exclude={"bends_form"})) if known else None
-                    out[named.get(effect.name, effect.name), name] = interval
+                    out[named.get(effect.name, effect.name), name] = _known_interval(p)
         return out
 
     def twins_of(self, first: RunSummary) -> dict[str, str]:
@@ -95,6 +93,12 @@ class RunSummary:
 def spread_of(flux_map: FluxMap, at: Array) -> Array:
     """Standard deviation of the map's flux at places (n, 2), root of both axes' squares; NaN where unknown."""
     return np.hypot(*(_values_at(flux_map, name, at) for name in ("psi_d_std", "psi_q_std")))
+
+
+def _known_interval(p: ParameterValue) -> Interval | None:
+    if p.value is None or p.low is None or p.high is None:
+        return None
+    return Interval(value=p.value, low=p.low, high=p.high, unit=p.unit)
 
 
 def _interval(value: float, std: float, unit: str) -> Interval | None:

@@ -135,6 +135,21 @@ def test_effects_that_a_run_cannot_tell_apart_are_one_and_others_come_and_go(tmp
     }
 
 
+def test_sizes_are_compared_whatever_else_a_diagnosis_has_of_them_or_older_ones_had_not(tmp_path: Path) -> None:
+    first, older = (run(tmp_path, name, dead_time=(0.8, "")) for name in ("a", "b"))
+    first_file, older_file = (path / "results" / "diagnosis.json" for path in (first, older))
+    content = json.loads(first_file.read_text())
+    companion = {"effect": "device_drop", "parameter": "voltage_v"}
+    content["report"]["effects"][0]["parameters"]["voltage_v"].update(determined_with=companion, of_tomorrow=1)
+    first_file.write_text(json.dumps(content))
+    content = json.loads(older_file.read_text())
+    for added in ("determined_with", "bends_form"):
+        content["report"]["effects"][0]["parameters"]["voltage_v"].pop(added)
+    older_file.write_text(json.dumps(content))
+    (size,) = compare_runs([first, older]).comparison.effects
+    assert [one and (one.value, one.unit) for one in size.values] == [(0.8, "V"), (0.8, "V")]
+
+
 def test_runs_without_errors_of_their_maps_are_not_judged(tmp_path: Path) -> None:
     comparison = compare_runs([run(tmp_path, "a"), run(tmp_path, "b", moved(std_wb=np.nan))]).comparison
     assert comparison.maps[0].changed is None
