@@ -8,6 +8,7 @@ from orchestrator.flux_maps._faults import USES
 from orchestrator.flux_maps._filling import fill_smoothly
 from orchestrator.flux_maps._gridding import CSV_UNITS, MapFile
 from orchestrator.flux_maps._loading import UnknownLayoutError, load_map, read_map
+from orchestrator.flux_maps._magnet import has_no_rest_flux, with_magnet
 from orchestrator.flux_maps._picture import draw_audit
 from orchestrator.flux_maps._repair import Repair, repair_map
 from orchestrator.flux_maps._suggesting import suggest_mapping
@@ -25,8 +26,10 @@ __all__ = [
     "audit_map",
     "draw_audit",
     "fill_smoothly",
+    "has_no_rest_flux",
     "load_map",
     "read_map",
     "repair_map",
     "suggest_mapping",
+    "with_magnet",
 ]

@@ -26,6 +26,9 @@ from protocols import InputError, Number, RecordingError, Remark, StorageError, 
 MARGIN_SPEEDS = 11
 """Speeds at which the phase margin is stated."""
 
+PLACEHOLDER_MOTOR = ("unknown", 1)
+"""Name and pole pairs of the motor in a mapping that was guessed without a nameplate."""
+
 
 class TuningReport(Strict):
     """`tuning.json`: the tuning of a drive for one motor. Peak-valued vectors, electrical angles, mechanical speeds."""
@@ -210,6 +213,9 @@ def load_tuning(folder: Path) -> TuningReport:
 
 def _remarks(tuning: DriveTuning) -> Iterator[Remark]:
     limits, machine = tuning.limits, tuning.machine
+    if (machine.motor.name, machine.motor.pole_pairs) == PLACEHOLDER_MOTOR:
+        text = "pole_pairs 1 is a guessed mapping's placeholder, by which torque and speed scale: state the motor (--motor)"
+        yield Remark.of("placeholder_pole_pairs", text)
     if not tuning.references.reaches_speed:
         text = "at {current} and {bus} the references reach {reached:.0f} of the {wanted:.0f} rpm wanted"
         yield Remark.of(

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator.flux_maps import MapAudit, MapSurface, audit_map
+from orchestrator.flux_maps import MapAudit, MapSurface, audit_map, has_no_rest_flux
 from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
 from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
 from orchestrator.formatting.names import code_identifier
@@ -111,10 +111,7 @@ class Products:
     @property
     def lacks_magnet(self) -> bool:
         """Whether psi(0, 0) is zero only for want of a nameplate value."""
-        if self.motor.pm_flux_wb is not None or not self.surface.inside(np.zeros((1, 2)))[0]:
-            return False
-        at_rest = float(np.abs(self.surface.psi(np.zeros((1, 2)))).max())
-        return at_rest < 1e-3 * float(np.ptp(self.surface.fluxes, axis=0).max())
+        return self.motor.pm_flux_wb is None and has_no_rest_flux(self.surface)
 
     @cached_property
     def motors(self) -> bool:

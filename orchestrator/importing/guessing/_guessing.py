@@ -98,7 +98,10 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: Import
     lines.say("version", 1, "of the format")
     lines.say("name", path.stem, "the file's")
     unknown = {"name": "unknown", "pole_pairs": 1}
-    why = "not in the file: pole pairs only scale torque and speed, a nameplate makes every check sharper"
+    why = (
+        "not in the file: state pole_pairs and pm_flux_wb before `tune`, torque and speed need both; "
+        "a nameplate makes every check sharper"
+    )
     lines.say("motor", motor or unknown, "as given" if motor else why, doubt=motor is None)
     if columns.layout is not None:
         layout = columns.layout.csv.model_dump(exclude_defaults=True, mode="json")

@@ -38,7 +38,7 @@ def export(
     StorageError
         Where a file cannot be written.
     """
-    from orchestrator.flux_maps import load_map
+    from orchestrator.flux_maps import load_map, with_magnet
     from orchestrator.flux_maps.exporting import export_map
     from orchestrator.runs import refuse_file
 
@@ -47,6 +47,7 @@ def export(
     refuse_file(folder)
     flux_map = load_map(path)
     motor_used, recording = motor_and_recording(path, motor)
+    flux_map = with_magnet(flux_map, motor_used)
     caution = _caution(path)
     return export_map(flux_map, motor_used, folder, formats or None, recording=recording, caution=caution)
 

@@ -63,9 +63,9 @@ def tune(
     StorageError
         Where a file cannot be written.
     """
-    from orchestrator.flux_maps import load_map
+    from orchestrator.flux_maps import load_map, with_magnet
     from orchestrator.runs import refuse_file
-    from orchestrator.tuning import Compensation, Machine, limits_of, no_compensation, write_tuning
+    from orchestrator.tuning import Compensation, Machine, limits_of, no_compensation, require_known, write_tuning
     from orchestrator.tuning import tune as tune_drive
 
     path = Path(place)
@@ -73,17 +73,17 @@ def tune(
     refuse_file(folder)
     flux_map = load_map(path)
     chosen, recording = motor_and_recording(path, motor)
+    flux_map = with_magnet(flux_map, chosen)
     manifest, model, std, remarks = _context(path)
+    drive = None if manifest is None else manifest.drive
+    limits_given = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    require_known(path, chosen, flux_map, drive, limits_given)
     ohm = chosen.stator_resistance_ohm
-    if ohm is None:
-        raise InputError(
-            str(path), "stator_resistance_ohm", "R_s is unknown: estimate it, or give a motor with it (--motor)"
-        )
+    assert ohm is not None
     std = std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
     magnet_per_k = None if magnet_percent_per_k is None else 0.01 * magnet_percent_per_k
     machine = Machine(chosen, flux_map, ohm, std, _winding_c(path), magnet_per_k)
-    drive = None if manifest is None else manifest.drive
-    limits = limits_of(machine, drive, current_a=current_a, bus_v=bus_v, speed_rpm=speed_rpm, sampling_hz=sampling_hz)
+    limits = limits_of(machine, drive, **limits_given)
     compensation = no_compensation(limits.current_a)
     if model is not None and manifest is not None:
         compensation = Compensation.of(

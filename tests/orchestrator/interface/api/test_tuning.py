@@ -69,6 +69,19 @@ def test_what_does_not_suffice_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+def test_all_that_is_missing_is_named_at_once(map_file: Path, tmp_path: Path) -> None:
+    motor = Motor(name="unknown", pole_pairs=1)
+    with pytest.raises(InputError, match=r"(?s)R_s is unknown.*--bus-v.*--sampling-hz.*--speed-rpm"):
+        api.tune(map_file, motor=motor, out=tmp_path / "out")
+
+
+def test_a_locked_rotor_s_map_is_not_tuned_without_its_magnet(tmp_path: Path) -> None:
+    save_flux_map(tmp_path / "map.nc", flux_map(saturated(pm_flux_wb=0.0), 4.0, std=0.005))
+    with pytest.raises(InputError, match=r"pm_flux_wb: unknown.*pole_pairs"):
+        api.tune(tmp_path / "map.nc", motor=MOTOR, out=tmp_path / "out", **DRIVE)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_map_that_its_audit_refuses_is_not_tuned(tmp_path: Path) -> None:
     made = flux_map(saturated(), 4.0)
     # A psi_d that has been read with the wrong sign of i_d.
