@@ -17,7 +17,7 @@ from orchestrator.config._slips import nameplate_questions
 from orchestrator.recording import has_recording
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.stages import parse_stages
-from orchestrator.validation.messages import KeyPath, first_problem, nearest, suggestion
+from orchestrator.validation.messages import KeyPath, first_problem, missing_section, nearest, suggestion
 from orchestrator.validation.plausibility import implausible
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, apply_override, parse_document, read_document
@@ -145,7 +145,7 @@ def load_motor(path: str | PathLike[str]) -> Motor:
     read_quantities(document)
     raw = document.data.get("motor")
     if raw is None:
-        raise ProcedureError(str(path), "motor", "missing")
+        raise ProcedureError(str(path), "motor", missing_section("motor", document.data))
     try:
         return ProcedureMotor.model_validate(raw)
     except ValidationError as error:
@@ -187,8 +187,9 @@ def _example_limits(document: Document) -> dict[str, Any] | None:
 def _lay_over(document: Document, overlay: Document, *, is_example: bool) -> None:
     if "motor" not in overlay.data:
         is_bare = overlay.data.keys() & ProcedureMotor.model_fields.keys()
-        where_it_belongs = ": the nameplate's fields belong below a line `motor:`" if is_bare else ""
-        raise ProcedureError(overlay.name, "motor", f"missing{where_it_belongs}")
+        where_it_belongs = ": the nameplate's fields belong below a line `motor:`"
+        what = f"missing{where_it_belongs}" if is_bare else missing_section("motor", overlay.data)
+        raise ProcedureError(overlay.name, "motor", what)
     for key, section in overlay.data.items():
         if key not in MotorFile.model_fields:
             problem = f"unknown section of a motor file; {suggestion(key, MotorFile.model_fields)}"

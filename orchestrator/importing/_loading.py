@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportedDrive, ImportMapping
-from orchestrator.validation.messages import KeyPath, first_problem
+from orchestrator.validation.messages import KeyPath, first_problem, missing_section
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, read_document
 from protocols import InputError, ProcedureError
@@ -123,7 +123,7 @@ def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, 
 def _lay_in(document: Document, section: str, path: Path) -> None:
     other = read_document(path)
     if section not in other.data:
-        raise InputError(other.name, section, "missing")
+        raise InputError(other.name, section, missing_section(section, other.data))
     places = {keys: place for keys, place in other.places.items() if keys[0] == section}
     document.replace((section,), other.data[section], places)
 

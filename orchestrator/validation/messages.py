@@ -90,6 +90,12 @@ def suggestion(name: str, candidates: Iterable[str]) -> str:
     return f"valid: {', '.join(names)}" if names else "none is valid here"
 
 
+def missing_section(section: str, present: Iterable[str]) -> str:
+    """That a section is missing, and the name among those present that is probably meant as it."""
+    near = nearest(section, present)
+    return "missing" if near is None else f"missing; the file has {near!r}: did you mean {section!r}?"
+
+
 def _is_list_for_number(found: Any) -> bool:
     return found["type"] in _NUMBER_ERRORS and isinstance(found["input"], list | tuple)
 

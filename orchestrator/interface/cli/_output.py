@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
@@ -29,7 +30,21 @@ def announce(path: Path, as_json: bool) -> None:
     """
     if path.exists():
         where = sys.stderr if as_json else sys.stdout
-        print(for_output(cut(f"reading {path}"), where), file=where, flush=True)
+        for line in (f"reading {path}", *_damaged_manifest(path)):
+            print(for_output(cut(line), where), file=where, flush=True)
+
+
+def _damaged_manifest(path: Path) -> list[str]:
+    """A note where a run's recording.json is no JSON: a run is read from its journal, of which that is a copy."""
+    manifest = path / "recording.json"
+    if not ((path / "journal.jsonl").is_file() and manifest.is_file()):
+        return []
+    try:
+        json.loads(manifest.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        text = "is damaged and not used: segments and checksums come from journal.jsonl, and each capture is checked"
+        return [f"note: {manifest} {text}"]
+    return []
 
 
 def announce_loading(name: str, *, aside: bool = False) -> None:

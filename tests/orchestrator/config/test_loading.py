@@ -400,6 +400,7 @@ def test_a_motor_file_has_the_limits_by_which_its_motor_is_accepted(write: Write
         ("name: servo\npole_pairs: 4\n", None, "motor: missing: the nameplate's fields belong below a line `motor:`"),
         (SERVO.replace("limits", "limit"), 4, "did you mean 'limits'?"),
         (SERVO.replace("motor", "drive"), None, "motor: missing"),
+        (SERVO.replace("motor:", "motr:"), None, "motor: missing; the file has 'motr': did you mean 'motor'"),
     ],
 )
 def test_a_mistake_in_a_motor_file_names_that_file(write: Write, text: str, line: int | None, problem: str) -> None:

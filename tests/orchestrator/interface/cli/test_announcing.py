@@ -74,3 +74,16 @@ def test_private_folders_that_a_pattern_includes_are_skipped(tmp_path: Path, mon
     done = CliRunner().invoke(app, ["compare", *map(str, sorted(tmp_path.iterdir(), reverse=True))])
     assert isinstance(done.exception, ImportError)  # one run is left: it is compared with its model
     assert done.stdout == f"reading {tmp_path / 'run'}\n"
+
+
+def test_a_manifest_that_is_damaged_and_read_from_the_journal_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in HEAVY:
+        monkeypatch.setitem(sys.modules, name, None)
+    (tmp_path / "journal.jsonl").touch()
+    (tmp_path / "recording.json").write_text('{"format": "fluxbench-reco')
+    done = CliRunner().invoke(app, ["diagnose", str(tmp_path)])
+    assert f"note: {tmp_path / 'recording.json'} is damaged" in done.stdout
+    (tmp_path / "recording.json").write_text("{}")
+    assert "damaged" not in CliRunner().invoke(app, ["diagnose", str(tmp_path)]).stdout
