@@ -1,4 +1,4 @@
-"""The magnet's flux in a map: a locked rotor does not show it, so a map of one has it from the nameplate or lacks it."""
+"""The magnet's flux in a map: a locked rotor does not show it, so it comes from the nameplate or is lacking."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ def require_columns(path: Path, wanted: Iterable[str], present: Collection[str])
     for name in wanted:
         if name not in present:
             if (apart := _unseparated(name, present)) is not None:
-                problem = f"no such column, but in one that holds several: separated by {apart}? (csv: delimiter)"
+                problem = f"no such column, but in one that holds several: separated by {apart[0]}? (csv: {apart[1]})"
                 raise InputError(str(path), name, problem)
             near = nearest(name, present)
             choices = sorted(one_line(there)[:100] for there in present)
@@ -162,10 +162,11 @@ def _label(value: object) -> str:
     return str(value)
 
 
-def _unseparated(name: str, present: Collection[str]) -> str | None:
-    """Name of the delimiter that would split a present name into the wanted one; None where there is none."""
+def _unseparated(name: str, present: Collection[str]) -> tuple[str, str] | None:
+    """The delimiter that would split a present name into the wanted one, and its entry in a mapping; None without."""
     for there in present:
         for delimiter, words in (("\t", "tabs"), (";", "semicolons"), (",", "commas"), ("|", "bars")):
             if delimiter in there and name in (part.strip().strip('"') for part in there.split(delimiter)):
-                return words
+                written = '"\\t"' if delimiter == "\t" else f"'{delimiter}'"
+                return words, f"{{delimiter: {written}}}"
     return None

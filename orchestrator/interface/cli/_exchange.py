@@ -8,11 +8,13 @@ from pathlib import Path
 
 from orchestrator.config import load_motor
 from orchestrator.formatting.quantities import percent
-from orchestrator.importing import ImportReport, import_files, merge_recordings, read_drive
+from orchestrator.importing import ENDINGS, ImportReport, import_files, merge_recordings, read_drive
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import complain, say, say_document, say_notes
 from protocols import InputError
+
+YAML_ENDINGS = (".yaml", ".yml")
 
 
 def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
@@ -28,6 +30,20 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
     say(f"{percent(report.measured_percent, 3)} of the grid was measured")
     say_notes(note for note in report.notes if note != report.caution)
     return 0
+
+
+def require_import_files(files: Sequence[Path], *, has_out: bool) -> None:
+    """Raise `InputError` where the mapping, which comes first, or the measurement is missing."""
+    also = "" if has_out else ", and --out names the new folder"
+    mappings = [path for path in files if path.suffix.lower() in YAML_ENDINGS]
+    if files[0].suffix.lower() in ENDINGS:
+        if mappings:
+            problem = f"a measurement, not a mapping: the mapping comes first, {mappings[0]} {files[0]}{also}"
+        else:
+            problem = f"a measurement without its mapping: `fluxbench import --guess {files[0]}` writes one{also}"
+        raise InputError(str(files[0]), "", problem)
+    if len(files) < 2:
+        raise InputError(str(files[0]), "", f"a mapping without a measurement: name the files after it{also}")
 
 
 def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:
@@ -57,6 +73,11 @@ def guess_import(files: Sequence[Path], out: Path | None, motor: Path | None, as
     """Write the mapping for a measurement file, and print the lines to check."""
     if len(files) != 1:
         raise InputError("", "--guess", f"expected one measurement file, got {len(files)}")
+    if files[0].is_dir():
+        raise InputError(str(files[0]), "", "a folder; --guess expected one measurement file of it")
+    if files[0].suffix.lower() in YAML_ENDINGS and files[0].is_file():
+        problem = "a YAML file; --guess expected the measurement, and writes the mapping; --motor names a nameplate"
+        raise InputError(str(files[0]), "", problem)
     target = out if out is not None else Path(files[0].with_suffix(".yaml").name)
     if target.exists():
         raise InputError(str(target), "", "exists already and is not overwritten: name another with --out")

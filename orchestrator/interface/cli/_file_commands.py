@@ -118,14 +118,16 @@ def import_command(
     as_json: JsonOption = False,
 ) -> int:
     """Import measurements of other tools as a recording."""
-    from orchestrator.interface.cli._exchange import guess_import, import_, merge_import
+    from orchestrator.interface.cli._exchange import guess_import, import_, merge_import, require_import_files
 
     if guess:
         return guess_import(files, out, motor, as_json)
     if merge and out is not None:
         return merge_import(files, out, as_json)
-    if out is None or len(files) < 2:
-        raise typer.BadParameter("expected MAPPING FILE... --out DIR, --merge RECORDING... --out DIR, or --guess FILE")
+    if not merge:
+        require_import_files(files, has_out=out is not None)
+    if out is None:
+        raise typer.BadParameter("--out is missing: the new folder for the recording")
     return import_(files[0], files[1:], out, as_json)
 
 

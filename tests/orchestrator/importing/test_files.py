@@ -95,10 +95,21 @@ def test_text_without_names_gets_them_from_the_mapping(bench: Bench) -> None:
         (lambda text: text.replace("ia,", "i_a,", 1), "ia: no such column; did you mean 'i_a'?"),
         (lambda text: text.replace("ib,", "ia,", 1), "ib: no such column"),
         (lambda text: text.replace(",", "\t"), "t: no such column, but in one that holds several: separated by tabs?"),
-        (lambda text: text.replace(",", ";"), "separated by semicolons? (csv: delimiter)"),
+        (lambda text: text.replace(",", ";"), "separated by semicolons? (csv: {delimiter: ';'})"),
         (lambda text: text.replace("t,ia,ib", "t,ia,ib,ia", 1), "log.csv: "),
         (lambda text: text.replace("\n0.0001,", "\n0.0001,x", 1), "log.csv: ia: line 3: expected a number, got 'x"),
-        (lambda text: text + "1,2\n", "Row #402: Expected 7 columns, got 2"),
+        (
+            lambda text: text + "1,2\n",
+            "the last line is cut off: line 402 has 2 columns, but the names are 7; delete it",
+        ),
+        (
+            lambda text: text.replace("\n", ",1\n", 9).replace(",1\n", "\n", 8),
+            "line 9 has 8 columns, but the names are 7",
+        ),
+        (
+            lambda text: text.replace(",", ";").replace(".", ","),
+            "state csv: {delimiter: ';', decimal: ','} in the mapping",
+        ),
         (lambda text: "", "log.csv: not a readable CSV file: Empty CSV file"),
         (lambda text: text.split("\n")[0] + "\n", "log.csv: no segment in it; it holds no complete row"),
     ],
