@@ -58,6 +58,8 @@ class PlanSummary(Strict):
     """Over the whole duration, peak-valued: compare with the rated current as the length of its vector."""
     stages: tuple[StageRow, ...]
     notes: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    """Contradictions of the nameplate, and slips that would explain them."""
 
 
 def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
@@ -123,8 +125,8 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
         energy_j=_total([row.energy_j for row in rows]),
         rms_current_a=rms,
         stages=tuple(rows),
+        warnings=tuple(nameplate_doubts(plan.procedure.motor)),
         notes=(
-            *nameplate_doubts(plan.procedure.motor),
             *_limit_notes(plan),
             *plan.notes,
             *_heat_notes(plan, rms),

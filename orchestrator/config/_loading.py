@@ -65,10 +65,12 @@ class LoadedProcedure:
             yield
         except InputError as error:
             prefix = {self.procedure.name: "", "drive": "drive."}.get(error.where)
-            if prefix is None:
+            if prefix is None and not error.where.startswith("drive."):
                 raise
-            field = (prefix + error.field).rstrip(".")
-            questions = list(nameplate_questions(self.procedure.motor))
+            field = (f"{error.where}." if prefix is None else prefix) + error.field
+            field = field.rstrip(".")
+            asked = nameplate_questions(self.procedure.motor)
+            questions = [question for question in asked if not question.startswith(f"{field}:")]
             if not questions:
                 raise type(error)(self.document.place_of(field), field, error.problem) from None
             place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))

@@ -317,6 +317,12 @@ def mismatch(values: Values) -> float:
     return float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 
+def is_judged(values: Values, name: str) -> bool:
+    """Whether a relation whose ratio varies by less than a factor e compares this value with others."""
+    full = completed(values)
+    return any(name in one.given and one.counts(full) and one.ratio.spread < 1.0 for one in RELATIONS)
+
+
 def contradictions(motor: Motor) -> Iterator[str]:
     """Each violated relation, as a sentence."""
     for relation in broken_relations(stated_values(motor)):

@@ -23,6 +23,9 @@ from protocols import (
     VoltageSteps,
 )
 
+PHASE_PEAK = math.sqrt(2.0 / 3.0)
+"""Peak voltage of a phase over the rms voltage from line to line."""
+
 
 @dataclass(frozen=True)
 class _Rules:
@@ -87,6 +90,7 @@ class Requirements:
                 f"{limits.current_a:g} A, {drive_takes}: set it lower, by --set or in the motor file",
             )
         if limits.voltage_v > drive.max_voltage_v:
+            self._check_rated_voltage(drive)
             drive_gives = f"the drive gives {drive.max_voltage_v:.4g} V"
             raise self._error(
                 "limits.voltage_v",
@@ -135,6 +139,19 @@ class Requirements:
             raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
         if point.target is not None and abs(point.target[1]) > _RULES.max_q_share * math.hypot(*point.target):
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
+
+    def _check_rated_voltage(self, drive: Capabilities) -> None:
+        """Blame the nameplate where the limit of voltage follows from it."""
+        rated_v = self._procedure.motor.rated_voltage_rms_v
+        if rated_v is None or not math.isclose(self._procedure.limits.voltage_v, PHASE_PEAK * rated_v, rel_tol=1e-3):
+            return
+        most = (
+            f"{rated_v:.4g} V is more than the {drive.max_voltage_v / PHASE_PEAK:.4g} V line to line rms of the drive"
+        )
+        hint = (
+            f"is it the DC bus? Else set limits.voltage_v to {drive.max_voltage_v:.4g}, by --set or in the motor file"
+        )
+        raise self._error("motor.rated_voltage_rms_v", f"{most}: {hint}")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
         advice = f'to do without, write accept_no_watchdog: "{get_args(NoWatchdogSentence)[0]}"'

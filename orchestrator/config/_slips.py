@@ -12,15 +12,20 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from orchestrator.config._nameplate import Values, broken_relations, contradictions, mismatch, stated_values
+from orchestrator.config._nameplate import Values, broken_relations, contradictions, is_judged, mismatch, stated_values
 from protocols import Motor
 
-HABIT, COMMON, RARE = 0.04, 0.01, 0.001
-"""Prior probability of a slip per nameplate: another convention of data sheets; a wrong unit or decimal point; rare
-slips. With correct values of up to 25 % error, one nameplate in thirty is then questioned."""
+POLES, HABIT, COMMON, RARE = 0.06, 0.04, 0.01, 0.001
+"""Prior probability of a slip per nameplate: poles, which most data sheets count; another convention of data sheets; a
+wrong unit or decimal point; rare slips. With correct values of up to 25 % error, one nameplate in thirty is then
+questioned."""
 MAX_EXCESS_MISMATCH = 2.0 * math.log(100.0)
 """A named slip is within odds of 1 to 100 of the best: its mismatch plus prior exceeds the best's by at most this."""
 MAX_NAMED = 2
+USUAL_BUSES_V = (12.0, 36.0, 48.0, 60.0, 72.0, 96.0)
+"""DC buses that stand on a low-voltage motor's label as its voltage [V]; 24 V is a usual rms value, too."""
+BUS_TO_LINE_RMS = math.sqrt(0.5)
+"""Largest rms voltage from line to line over the DC bus: the phase's peak is bus / sqrt 3."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,10 @@ class Slip:
     corrected: Callable[[Values], Mapping[str, float]]
     probability: float = COMMON
     needed: tuple[str, ...] = ()
+
+    def repeats(self, other: Slip) -> bool:
+        """Whether it asks the question of another one again, about some of the same fields."""
+        return self.words.endswith(other.words.removeprefix("in ")) and bool(set(self.fields) & set(other.fields))
 
     def applied(self, values: Values) -> dict[str, float]:
         """All values, corrected."""
@@ -88,7 +97,7 @@ SLIPS = (
     _times((_N,), 30.0 / math.pi, "in rad/s"),
     Slip((_N,), "the electrical, not the mechanical speed", lambda v: {_N: v[_N] / v.get(_PAIRS, 1.0)}, RARE),
     Slip((_F,), "the mechanical, not the electrical frequency", lambda v: {_F: v[_F] * v.get(_PAIRS, 1.0)}),
-    _times((_PAIRS,), 0.5, "the number of poles", HABIT),
+    _times((_PAIRS,), 0.5, "the number of poles", POLES),
 )
 
 
@@ -110,12 +119,18 @@ def nameplate_doubts(motor: Motor) -> Iterator[str]:
 
 
 def nameplate_questions(motor: Motor) -> Iterator[str]:
-    """The slips alone of `nameplate_doubts`, each with the corrected values."""
+    """The slips alone of `nameplate_doubts`, each with the corrected values; a usual DC bus as the rated voltage."""
     values = stated_values(motor)
     for slip in likely_slips(values):
         right = ", ".join(f"{value:.4g}" for value in slip.corrected(values).values())
         fields = " and ".join(f"motor.{name}" for name in slip.fields)
         yield f"{fields}: {right} would fit: is the stated value {slip.words}?"
+    voltage_v = values.get(_V)
+    if voltage_v in USUAL_BUSES_V and not is_judged(values, _V):
+        text = (
+            f"{voltage_v:g} V is a usual DC bus, of which {BUS_TO_LINE_RMS * voltage_v:.4g} V line to line rms are left"
+        )
+        yield f"motor.{_V}: {text}: is the stated value the bus?"
 
 
 def likely_slips(values: Values) -> list[Slip]:
@@ -137,4 +152,8 @@ def likely_slips(values: Values) -> list[Slip]:
         if score < written:
             scores.append((score, slip))
     scores.sort(key=lambda pair: pair[0])
-    return [slip for score, slip in scores[:MAX_NAMED] if score <= scores[0][0] + MAX_EXCESS_MISMATCH]
+    named: list[Slip] = []
+    for score, slip in scores:
+        if score <= scores[0][0] + MAX_EXCESS_MISMATCH and not any(slip.repeats(other) for other in named):
+            named.append(slip)
+    return named[:MAX_NAMED]

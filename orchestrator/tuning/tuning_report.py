@@ -214,7 +214,9 @@ def load_tuning(folder: Path) -> TuningReport:
 def _remarks(tuning: DriveTuning) -> Iterator[Remark]:
     limits, machine = tuning.limits, tuning.machine
     if (machine.motor.name, machine.motor.pole_pairs) == PLACEHOLDER_MOTOR:
-        text = "pole_pairs 1 is a guessed mapping's placeholder; torque and speed scale with it: state the motor (--motor)"
+        text = (
+            "pole_pairs 1 is a guessed mapping's placeholder; torque and speed scale with it: state the motor (--motor)"
+        )
         yield Remark.of("placeholder_pole_pairs", text)
     if not tuning.references.reaches_speed:
         text = "at {current} and {bus} the references reach {reached:.0f} of the {wanted:.0f} rpm wanted"

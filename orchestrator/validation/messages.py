@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
@@ -27,6 +28,14 @@ _EXPECTED = {
 }
 MAX_NAME_LENGTH = 200
 """Characters of an unknown name that are compared; the time grows with their square."""
+_DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+\b.*)")
+OTHER_MOTOR_KEYS = {
+    "kv": "state pm_flux_wb, which is 5.513 / (pole_pairs x kv) for kv in rpm per volt (peak, line to line)",
+    "ke": "state pm_flux_wb: peak phase voltage / (2 pi f electrical)",
+    "kt": "state pm_flux_wb, which is kt / (1.5 x pole_pairs) for kt in Nm per ampere (peak)",
+    "poles": "state pole_pairs, half the number of poles",
+}
+"""Quantities of data sheets that a motor's section has in another form, in lower case."""
 _NUMBER_ERRORS = {"float_parsing", "float_type", "int_parsing", "int_type", "int_from_float"}
 
 
@@ -118,7 +127,9 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
     kind, context = found["type"], found.get("ctx", {})
     key = str(path[-1]) if path else ""
     if kind == "extra_forbidden":
-        return f"unknown key; {suggestion(key, _valid_keys(model, found['loc'][:-1]))}"
+        valid = _valid_keys(model, found["loc"][:-1])
+        other = OTHER_MOTOR_KEYS.get(key.lower().split("_")[0]) if "pm_flux_wb" in valid else None
+        return f"unknown key; {other or suggestion(key, valid)}"
     if kind == "missing":
         return "missing"
     if kind == "union_tag_invalid":
@@ -128,7 +139,7 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
         return f"{_discriminator(found)} is missing"
     if kind in _NUMBER_ERRORS:
         whole = "whole number" if kind.startswith("int") else "number"
-        return f"expected a {whole}{_unit(path)}, got {_shown(found['input'])}"
+        return f"expected a {whole}{_unit(path)}, got {_shown(found['input'])}{_comma_hint(found['input'])}"
     if kind == "literal_error":
         return f"expected {context['expected']}, got {_shown(found['input'])}"
     if kind in _EXPECTED:
@@ -146,6 +157,12 @@ def _unit(path: KeyPath) -> str:
     name = next((key for key in reversed(path) if isinstance(key, str)), "")
     suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
     return f" in {_UNITS[suffix]}" if suffix in _UNITS else ""
+
+
+def _comma_hint(value: object) -> str:
+    """How to write a number with a decimal comma; empty where there is none."""
+    match = _DECIMAL_COMMA.match(value) if isinstance(value, str) else None
+    return "" if match is None else f": write a decimal point, {match[1]}.{match[2]}"
 
 
 def _shown(value: object) -> str:

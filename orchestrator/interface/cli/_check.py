@@ -116,6 +116,7 @@ def _print_summary(summary: PlanSummary) -> None:
     say(f"rms current {quantity(summary.rms_current_a, 'A')} (length of the vector, over the whole duration)")
     if summary.rows is not None and summary.bytes is not None:
         say(f"{number(summary.rows / 1e6, 3)} million rows, about {number(summary.bytes / 1e6, 3)} MB on disk")
+    say(*(f"warning: {warning}" for warning in summary.warnings))
     say_notes(summary.notes)
     say("nothing was energised")
 

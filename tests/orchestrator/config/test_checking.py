@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
 from orchestrator.engine import connected_drive
 from protocols import CapabilityError, ProcedureError, shipped_procedure
-from tests.support.benches import KINDS, Bench
+from tests.support.benches import KINDS, SERVO, Bench
 
 HOLD = {"kind": "resistance", "points_a": [[3.0, 4.0]], "settle_s": 1.0, "duration_s": 3.0}
 INJECTION = {"kind": "injection", "points_a": [[1.0, 0.0]], "amplitudes_v": [40.0], "settle_s": 0.25, "duration_s": 1.0}
@@ -242,3 +243,16 @@ def test_direct_current_on_d_is_allowed_while_the_rotor_is_free(pm400: Bench) ->
 def test_the_drive_that_the_procedure_was_written_for_is_accepted(pm400: Bench) -> None:
     drive = pm400.capabilities(motor_name="400 W test PMSM")
     check_plan(make_plan(pm400.procedure(HOLD), drive), drive)
+
+
+def test_a_bus_as_the_rated_voltage_is_blamed_where_the_limit_follows_from_it() -> None:
+    bench = replace(SERVO, motor={**SERVO.motor, "rated_voltage_rms_v": 48.0})
+    complaint = refusal(bench, HOLD, limits={"current_a": 21.0, "voltage_v": 39.19}, drive={"max_voltage_v": 27.71})
+    assert "motor.rated_voltage_rms_v: 48 V is more than the 33.94 V line to line rms of the drive" in complaint
+    assert "set limits.voltage_v to 27.71" in complaint
+
+
+def test_what_contradicts_itself_is_a_warning_and_no_note(pm400: Bench) -> None:
+    summary = summary_of(replace(pm400, motor={**pm400.motor, "rated_torque_nm": 1e-3}), HOLD)
+    assert any("contradict each other" in warning for warning in summary.warnings)
+    assert not any("contradict" in note for note in summary.notes)

@@ -400,6 +400,11 @@ def test_a_motor_file_has_the_limits_by_which_its_motor_is_accepted(write: Write
         ("name: servo\npole_pairs: 4\n", None, "motor: missing: the nameplate's fields belong below a line `motor:`"),
         (SERVO.replace("limits", "limit"), 4, "did you mean 'limits'?"),
         (SERVO.replace("motor", "drive"), None, "motor: missing"),
+        (
+            SERVO.replace("  pole_pairs: 4", "  pole_pairs: 4\n  kv: 100", 1),
+            4,
+            "motor.kv: unknown key; state pm_flux_wb",
+        ),
         (SERVO.replace("motor:", "motr:"), None, "motor: missing; the file has 'motr': did you mean 'motor'"),
     ],
 )

@@ -108,3 +108,21 @@ def test_a_slip_changes_its_own_fields_alone(slip: Slip) -> None:
     values = stated_values(SIX["demo 400 W"])
     assert set(slip.corrected(values)) == set(slip.fields)
     assert slip.applied(values) != values
+
+
+SERVO = Motor(name="servo", pole_pairs=4, rated_current_rms_a=10.0, stator_resistance_ohm=0.2, pm_flux_wb=0.0155)
+
+
+def test_a_usual_dc_bus_as_rated_voltage_is_questioned_where_nothing_else_judges_it() -> None:
+    bus = SERVO.model_copy(update={"rated_voltage_rms_v": 48.0})
+    assert any("33.94 V line to line rms" in doubt for doubt in nameplate_doubts(bus))
+    assert not any("bus" in doubt for doubt in nameplate_doubts(SERVO.model_copy(update={"rated_voltage_rms_v": 32.0})))
+    with_speed = bus.model_copy(update={"rated_speed_rpm": 4500.0})
+    assert not any("usual DC bus" in doubt for doubt in nameplate_doubts(with_speed))
+
+
+def test_poles_for_pole_pairs_are_asked_about_before_the_flux() -> None:
+    values = {"rated_voltage_rms_v": 32.0, "rated_speed_rpm": 1000.0, "rated_torque_nm": 4.8}
+    poles = SERVO.model_copy(update={**values, "pole_pairs": 40, "rated_current_rms_a": 15.0, "pm_flux_wb": 0.0085})
+    asked = [doubt for doubt in nameplate_doubts(poles) if "would fit" in doubt]
+    assert asked[0] == "motor.pole_pairs: 20 would fit: is the stated value the number of poles?"

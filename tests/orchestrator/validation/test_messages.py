@@ -56,6 +56,7 @@ def problem_of(raw: dict[str, Any]) -> Problem:
             "expected a number, got 'x'",
         ),
         ({"shapes": [], "delay_s": "x"}, "delay_s", "expected a number in s, got 'x'"),
+        ({"shapes": [], "delay_s": "0,5"}, "delay_s", "expected a number in s, got '0,5': write a decimal point, 0.5"),
         ({"shapes": [], "delay_s": [1, "x", 3]}, "delay_s.1", "expected a number in s, got 'x'"),
         ({"shapes": [], "delay_s": [1, 2]}, "delay_s.2", "missing"),
         (
