@@ -276,6 +276,8 @@ class Explanation(Lenient):
     effects: tuple[EffectBasis, ...]
     model_changes: tuple[str, ...] = ()
     """What `add` and `remove` have changed in `model.json` since: "+ dead time (does not help)"."""
+    to_decide: str = ""
+    """The diagnosis' words on what to measure next."""
 
 
 class StageError(Lenient):

@@ -47,11 +47,22 @@ _MOVE_MEANINGS: Mapping[str, str] = {
 _MEASURE_MEANINGS: Mapping[str, str] = {
     "chi2": "Δchi2: fall of the squared error over the noise's variance, summed over all samples",
     "objective": "Δchi2: fall of the squared error over the noise's variance, summed over all samples",
-    "log_evidence": "nat: rise of the log evidence; 3 nat are odds of 20 to 1, 16 nat of 9 million to 1",
+    "log_evidence": "nat: rise of the log evidence, the natural logarithm of the odds; 3 nat are odds of 20 to 1, "
+    "16 nat of 9 million to 1",
     "chi2_per_dof": "chi2: its value after the move, per degree of freedom; it has to stay below what is needed",
     "block_scatter": "%: scatter of the effect's size between parts of the recording; above the limit it is no cause",
     "share": "%: part of the first model's error",
 }
+NEXT_STEPS: Mapping[str, str] = {
+    "clean": "`fluxbench export {run}` and `fluxbench tune {run}` take the map as it is",
+    "explained": "`fluxbench export {run}` and `fluxbench tune {run}` take the map with the effects accounted for",
+    "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map, whose error is stated",
+    "mostly_explained": "`fluxbench compare {run}` and the report show which stages keep an error",
+    "unknown_remains": "`fluxbench discover {run}` looks for the law that is missing",
+    "convention": "mend what the reasons name in the logging or the mapping, and import or measure again",
+    "cannot_tell": "measure again, longer or at larger currents; `fluxbench diagnose` then decides",
+}
+"""What to do next, by verdict; `{run}` is the run."""
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 
@@ -79,7 +90,13 @@ def search_legend(events: Sequence[SearchEvent]) -> list[str]:
     gains = dict.fromkeys(
         _MEASURE_MEANINGS[event.measure] for event in events if event.measure and event.score is not None
     )
-    return [*(f"{_move_name(move)}: {_MOVE_MEANINGS[move]}" for move in moves), *gains]
+    parts = {event.data for event in events}
+    data = ["recording: part is a share of the segments, on which a search begins because it is faster; whole is all"]
+    return [
+        *(data if "part" in parts else []),
+        *(f"{_move_name(move)}: {_MOVE_MEANINGS[move]}" for move in moves),
+        *gains,
+    ]
 
 
 def _outcome(event: SearchEvent) -> str:

@@ -202,7 +202,8 @@ def explain(place: Place) -> Explanation:
     if diagnosis is None:
         require_recording(path)
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
-    return explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
+    explanation = explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
+    return explanation.model_copy(update={"to_decide": diagnosis.words.to_decide})
 
 
 @one_thread()

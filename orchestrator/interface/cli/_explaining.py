@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from orchestrator.formatting.explaining import (
     BASIS_HEAD,
     LOG_EVIDENCE_SCALE,
+    NEXT_STEPS,
     SEARCH_HEAD,
     basis_rows,
     search_legend,
@@ -44,3 +46,6 @@ def _print(path: Path, explanation: Explanation) -> None:
         say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
         say_notes((*part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+    if explanation.to_decide:
+        say("", f"to decide: {explanation.to_decide}")
+    say(f"next: {NEXT_STEPS[explanation.verdict].format(run=shlex.quote(str(path)))}")

@@ -227,11 +227,17 @@ def procedures_command(
 
 
 @commands.command("effects", epilog="Example: fluxbench effects")
-def effects_command(as_json: JsonOption = False) -> int:
-    """List the physical effects that a diagnosis knows."""
+def effects_command(
+    name: Annotated[str | None, typer.Argument(help="Describe this effect alone.", metavar="[EFFECT]")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """List the physical effects that a diagnosis knows, or describe one.
+
+    With EFFECT: what it is, how it shows, its parameters, and what to do at the bench.
+    """
     from orchestrator.interface.cli._inspect import effects
 
-    return effects(as_json)
+    return effects(name, as_json)
 
 
 @commands.command("schema", epilog="Example: fluxbench schema motor --table")

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
-from orchestrator.interface.cli._output import say, say_document
+from orchestrator.formatting.quantities import number
+from orchestrator.formatting.sentences import listed, text_table
+from orchestrator.interface.cli._output import say, say_document, say_notes
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
+from orchestrator.validation.messages import suggestion
 from protocols import (
+    EffectLayer,
     InputError,
     Manifest,
     PluginError,
     Procedure,
     ProcedureError,
+    is_compensable,
     shipped_procedure,
     shipped_procedures,
 )
@@ -60,11 +66,55 @@ def procedures(name: str | None, as_json: bool) -> int:
     return 0
 
 
-def effects(as_json: bool) -> int:
-    """List the physical effects that a diagnosis knows."""
+def effects(name: str | None, as_json: bool) -> int:
+    """List the physical effects that a diagnosis knows, or describe one."""
+    if name is not None:
+        return _describe_effect(name, as_json)
     plugins = {info.name: load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)}
     _list({name: str(getattr(plugin, "summary", "")) for name, plugin in plugins.items()}, as_json)
     return 0
+
+
+def _describe_effect(name: str, as_json: bool) -> int:
+    """Print an effect's meaning, pattern and parameters, what tells it from others, and what to do about it."""
+    from orchestrator.diagnosis.selection.contrasts import CONTRASTS
+
+    names = {info.name for info in installed(PluginKind.EFFECTS)}
+    if name.replace(" ", "_") not in names:
+        raise InputError("effects", name, f"no such effect; {suggestion(name, names)}")
+    effect = load_plugin(PluginKind.EFFECTS, name.replace(" ", "_"))
+    rows = [
+        (p.name, p.role.value, p.unit, number(p.typical, 3), f"{number(p.low, 3)} to {number(p.high, 3)}")
+        for p in effect.Parameters.declared()
+    ]
+    if as_json:
+        heads = ("name", "role", "unit", "typical", "range")
+        text = {one: getattr(effect, one) for one in ("name", "summary", "signature", "gauge")}
+        say_document(json.dumps({**text, "parameters": [dict(zip(heads, row, strict=True)) for row in rows]}, indent=2))
+        return 0
+    say(f"{effect.name}: {effect.summary}", "", *inspect.cleandoc(effect.__doc__ or "").splitlines(), "")
+    say(f"how it shows: {effect.signature}")
+    if effect.needs:
+        say(f"what tells it from others: {listed([CONTRASTS[need].text for need in effect.needs])}")
+    say(f"at the bench: {BENCH_ADVICE[effect.layer]}")
+    say("in the drive: " + ("`fluxbench tune` compensates it" if is_compensable(effect) else "not to be compensated"))
+    if effect.gauge:
+        say(f"not determined: {effect.gauge}")
+    say("", text_table(("parameter", "role", "unit", "typical", "range"), rows, numbers=False))
+    say_notes(["typical sizes and ranges are those of a 400 W machine; a diagnosis scales them by the nameplate"])
+    return 0
+
+
+BENCH_ADVICE: Mapping[EffectLayer, str] = {
+    EffectLayer.CURRENT_SENSORS: "calibrate the current sensors with a reference ammeter, and without current",
+    EffectLayer.DELAY: "look up when the drive samples and when its voltage takes effect, and the sensors' filters",
+    EffectLayer.BUS: "measure the bus under load at the drive's terminals; shorten its leads or log it faster",
+    EffectLayer.INVERTER: "compare with the dead time that is set and the switches' data sheet",
+    EffectLayer.RESISTANCE: "measure the winding with an ohmmeter, cold and warm; log its temperature, leave pauses",
+    EffectLayer.FRAME: "look at the coupling and brake of the locked rotor and at the encoder's offset; align again",
+    EffectLayer.IRON: "nothing to mend: it is of the motor, and stays in its model",
+}
+"""What an engineer looks at, by the place where an effect acts."""
 
 
 def _list(summaries: Mapping[str, str], as_json: bool) -> None:

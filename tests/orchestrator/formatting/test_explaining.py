@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
-from orchestrator.formatting.explaining import accuracy_sentences, search_legend, search_lines, search_rows
+from orchestrator.formatting.explaining import NEXT_STEPS, accuracy_sentences, search_legend, search_lines, search_rows
+from orchestrator.formatting.names import VERDICTS
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -61,3 +62,7 @@ def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:
     assert accuracy_sentences(a_diagnosis()) == []
     (flux,) = accuracy_sentences(a_diagnosis(verdict="unknown_remains", map_error_percent=0.12))
     assert flux.startswith("If the model is right, ")
+
+
+def test_each_verdict_has_a_next_step() -> None:
+    assert NEXT_STEPS.keys() == VERDICTS.keys()

@@ -47,6 +47,8 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
     assert "screen: the fall of chi2 that each absent effect promises" in out
     assert "above 100 %" not in out
+    assert f"to decide: {WORDS.to_decide}" in out
+    assert out.splitlines()[-1].startswith(f"next: `fluxbench export {diagnosed}`")
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
 
 
