@@ -56,7 +56,7 @@ _MEASURE_MEANINGS: Mapping[str, str] = {
 NEXT_STEPS: Mapping[str, str] = {
     "clean": "`fluxbench export {run}` and `fluxbench tune {run}` take the map as it is",
     "explained": "`fluxbench export {run}` and `fluxbench tune {run}` take the map with the effects accounted for",
-    "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map, whose error is stated",
+    "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map and its error",
     "mostly_explained": "`fluxbench compare {run}` and the report show which stages keep an error",
     "unknown_remains": "`fluxbench discover {run}` looks for the law that is missing",
     "convention": "mend what the reasons name in the logging or the mapping, and import or measure again",

@@ -43,7 +43,7 @@ def settings_for_firmware(
     limits : DriveLimits
         The settings hold within its current limit and at its sampling frequency.
     flux_map : FluxMap, optional
-        For the inductances without current; by default, and where it has none, they are the control's.
+        For the inductances and the flux without current; by default, and where it has none, they are the control's.
 
     Raises
     ------
@@ -54,6 +54,7 @@ def settings_for_firmware(
     least = min(d, q)
     rest_d, rest_q = _at_rest(control, flux_map)
     alpha, r_s = control.bandwidth_rad_s, control.r_s_ohm
+    linkage = None if flux_map is None else value_at((flux_map.i_d, flux_map.i_q), flux_map.psi_d, 0.0, 0.0)
     texts = {
         "odrive": (
             _Setting("current_control_bandwidth", alpha, "alpha [rad/s]"),
@@ -74,9 +75,13 @@ def settings_for_firmware(
             _Setting("foc_motor_r", r_s, "R_s [ohm]"),
             _Setting("foc_motor_l", 0.5 * (rest_d + rest_q), "(L_d + L_q) / 2 without current [H]"),
             _Setting("foc_motor_ld_lq_diff", rest_q - rest_d, "L_q - L_d without current [H]"),
+            *([] if linkage is None else [_Setting("foc_motor_flux_linkage", linkage, "psi_d without current [Wb]")]),
         ),
     }
-    return {f"{name}.txt": _text(name, settings, control, limits) for name, settings in texts.items()}
+    files = {f"{name}.txt": _text(name, settings, control, limits) for name, settings in texts.items()}
+    if linkage is None:
+        files["vesc.txt"] += b"# foc_motor_flux_linkage is missing: the map does not reach zero current\n"
+    return files
 
 
 def _least(control: CurrentControl, limits: DriveLimits) -> tuple[float, float]:

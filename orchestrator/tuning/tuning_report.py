@@ -21,6 +21,7 @@ from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
 from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.pictures import tuning_picture
+from orchestrator.tuning.sensorless import Sensorless
 from protocols import InputError, Number, RecordingError, Remark, StorageError, Strict
 
 MARGIN_SPEEDS = 11
@@ -84,6 +85,8 @@ class TuningReport(Strict):
     """Largest position error of injection by cross-saturation there."""
     injection_error_at_a: tuple[float, float] | None
     """i_d and i_q of that error."""
+    injection_fails_at_a: tuple[float, float] | None = None
+    """Least of the references of least current at which it does not work; null where it works at all of them."""
     injection_left_by_map_deg: Number
     """Largest error at the references of least current that a compensation by the flux map leaves."""
     observer_speed_rpm: Number
@@ -140,6 +143,7 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
         injection_error_deg=None if worst is None else math.degrees(float(error.max())),
         injection_error_at_a=None if worst is None else (float(worst[0]), float(worst[1])),
+        injection_fails_at_a=_first_failure(sensorless),
         injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
         observer_speed_rpm=_finite(tuning.rpm(sensorless.least_speed_rad_s)),
         observer_speed_warm_rpm=_finite(tuning.rpm(sensorless.least_speed_warm_rad_s)),
@@ -180,6 +184,15 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
     for name, content in contents.items():
         replace_file(out / name, content)
     return report
+
+
+def _first_failure(sensorless: Sensorless) -> tuple[float, float] | None:
+    """The first of the references at which a tracking by injection does not work, by the nearest node of the map."""
+    for i_d, i_q in sensorless.operating_dq_a.tolist():
+        at = int(np.abs(sensorless.i_d_a - i_d).argmin()), int(np.abs(sensorless.i_q_a - i_q).argmin())
+        if not sensorless.works[at]:
+            return i_d, i_q
+    return None
 
 
 def _finite(value: float) -> float | None:

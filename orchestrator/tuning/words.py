@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
@@ -9,6 +11,9 @@ from orchestrator.tuning.tuning_report import TuningReport
 
 LEAST_HARMONICS_PERCENT = 0.01
 """Harmonics over the fundamental that are worth a line."""
+
+MIN_OBSERVER_SPEED_RATIO = 0.01
+"""Speed over the largest one below which no back-EMF observer works, whatever R_s is: readings drift."""
 
 
 def headline(report: TuningReport) -> str:
@@ -84,6 +89,16 @@ def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
         currents = "every current" if share == 100.0 else f"{number(share, 2)} % of the currents"
         limit = quantity(report.current_limit_a, "A")
         rows.append(("tracking by injection", f"works at {currents} within the limit of {limit}{worst}"))
+        if (fails := report.injection_fails_at_a) is not None:
+            rows.append(
+                (
+                    "... along the references",
+                    f"works below {vector(*fails)}, {quantity(math.hypot(*fails), 'A')}; from there on too little "
+                    "saliency is left: limit the current there, or use a sensor",
+                )
+            )
+        elif share < 100.0:
+            rows.append(("... along the references", "works at all of them: the others are not used"))
     if report.injection_left_by_map_deg is not None:
         rows.append(
             (
@@ -95,10 +110,11 @@ def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
     if warm is None or cold is None:
         rows.append(("back-EMF observer", "position error above 5° at every speed"))
     else:
-        rows.append(
-            (
-                "back-EMF observer",
-                f"position error below 5° from {cold:.0f} rpm on where R_s is followed, else from {warm:.0f} rpm on",
-            )
+        floor = MIN_OBSERVER_SPEED_RATIO * report.largest_speed_rpm
+        followed = (
+            f"below 5° from {cold:.0f} rpm on where R_s is followed"
+            if cold >= floor
+            else "not limited by R_s where it is followed, but by drift and offsets, which are not counted"
         )
+        rows.append(("back-EMF observer", f"position error {followed}; else below 5° from {warm:.0f} rpm on"))
     return rows

@@ -28,6 +28,8 @@ def tune(
 ) -> int:
     """Write references, gains, compensation and C code into a folder, and print the main figures."""
     limits = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    folder = out or (path if path.is_dir() else path.parent) / "tuning"
+    is_replaced = (folder / "tuning.json").is_file()
     report = api.tune(
         path, out=out, motor=motor, magnet_percent_per_k=magnet_percent_per_k, effects=effects or (), **limits
     )
@@ -35,7 +37,9 @@ def tune(
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0
-    _print(report, out or (path if path.is_dir() else path.parent) / "tuning")
+    _print(report, folder)
+    if is_replaced:
+        say_notes(["an earlier tuning of this folder was replaced; --out keeps both"])
     return 0
 
 

@@ -43,7 +43,7 @@ def test_a_screen_and_a_refit_say_what_follows_and_large_gains_are_short() -> No
 def test_a_legend_explains_the_moves_and_gains_that_occur() -> None:
     legend = search_legend(some_moves().events)
     assert [line.partition(":")[0] for line in legend] == [
-        "full model", "screen", "quantiser", "nat", "Δchi2", "%", "chi2",
+        "recording", "full model", "screen", "quantiser", "nat", "Δchi2", "%", "chi2",
     ]  # fmt: skip
 
 

@@ -56,6 +56,14 @@ def test_a_machine_without_saturation_gets_the_gains_of_its_inductances() -> Non
     )
 
 
+def test_vesc_gets_the_flux_linkage_or_a_line_that_it_is_missing() -> None:
+    of = machine(linear(0.02, 0.05, 0.3))
+    control = current_control(of, LIMITS)
+    known = settings_for_firmware(control, LIMITS, of.flux_map)["vesc.txt"]
+    assert read(known)["foc_motor_flux_linkage"] == pytest.approx(0.3)
+    assert b"foc_motor_flux_linkage is missing" in settings_for_firmware(control, LIMITS)["vesc.txt"]
+
+
 def test_no_current_makes_the_loop_faster_than_the_bandwidth() -> None:
     """The gain in volts per ampere is at most the bandwidth times what a step on that axis meets."""
     plant = Plant(i_d=6.0, i_q=2.0, i_x=3.0, i_y=3.0, cross=2e-4)

@@ -43,6 +43,21 @@ def test_position_errors_and_margins_name_their_speed_and_the_integral_part_its_
     assert "its output is limited to 227 V" in rows["... its integral part"]
 
 
+def test_an_observer_has_no_speed_below_what_drift_allows() -> None:
+    assert "below 5° from 45 rpm on where R_s" in dict(figure_rows(a_report()))["back-EMF observer"]
+    row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["back-EMF observer"]
+    assert "not limited by R_s where it is followed" in row
+    assert "0 rpm" not in row
+
+
+def test_where_tracking_fails_is_stated_along_the_references() -> None:
+    part = {"injection_works_percent": 59.0}
+    rows = dict(figure_rows(a_report(**part, injection_fails_at_a=(-3.0, 4.0))))
+    assert "works below (−3.000, +4.000) A, 5 A" in rows["... along the references"]
+    assert dict(figure_rows(a_report(**part)))["... along the references"].startswith("works at all of them")
+    assert "... along the references" not in dict(figure_rows(a_report()))
+
+
 def test_the_ripple_of_a_wave_is_what_its_fundamental_leaves() -> None:
     angle = 2.0 * math.pi * np.arange(360) / 360.0
     wave = 2.0 * np.cos(angle + 0.3) + 0.01 * np.cos(5.0 * angle)
