@@ -17,7 +17,7 @@ from orchestrator.diagnosis.judgement.contributions import left_of_excitation
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
-from orchestrator.diagnosis.reporting.resemblance import alternatives_to
+from orchestrator.diagnosis.reporting.resemblance import Alternative, alternatives_to
 from orchestrator.discovery.bases import CurveBasis, LineBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis
@@ -43,6 +43,8 @@ from protocols import DiagnosisReport, Effect, MotorModel
 EXPLAINED = ("clean", "explained", "explained_in_another_form", "convention")
 MAX_SHARE_OF_SEGMENT: float = 0.5
 """Part of a law's gain that one segment may carry."""
+MAX_RESEMBLING_CHI2_RATIO: float = 2.0
+"""Most chi2 of an effect of the library in a law's place, over the law's, to be named as what it looks like."""
 SIGMAS: float = 1.96
 CURVE_POINTS: int = 40
 SCALES_OF_MEMORY: float = 4.0
@@ -140,7 +142,7 @@ def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tupl
     if volts[0] is not None and volts[1] is not None and volts[1] > max(volts[0], 1.2 * (floor or 0.0)):
         was_v, now_v = (quantity(v, "V") for v in volts)
         return "no_law", f"the held-out error at low frequencies grows from {was_v} to {now_v}"
-    return "law", f"the held-out error falls from {number(was)} to {number(now)} times its noise"
+    return "law", f"the held-out error falls from {number(error_of(before))} to {number(now)} times its noise"
 
 
 def _largest_segment(outcome: SearchOutcome) -> tuple[float, str]:
@@ -165,6 +167,7 @@ def _laws(setup: DiagnosisSetup, outcome: SearchOutcome, library: Sequence[Candi
         alternatives = alternatives_to(
             setup, best.fit, best.term.name, [c for c in seen if c.name not in best.fit.model.names]
         )
+        like = [a.other for a in alternatives if a.is_tied or a.fits_better or _is_near(a)]
         alike = [a.other.replace("_", " ") for a in alternatives if a.is_tied or a.fits_better]
         found.append(
             FoundLaw(
@@ -177,11 +180,17 @@ def _laws(setup: DiagnosisSetup, outcome: SearchOutcome, library: Sequence[Candi
                 forms=tuple(_form(f, best, noise) for f in law.forms),
                 curve=_curve(law),
                 as_well=(*(f"{one} of the library" for one in alike), *map(_described, law.near)),
+                library=tuple(like),
                 gauge=gauge_of(hypothesis),
                 to_decide=_to_decide(law),
             )
         )
     return tuple(found)
+
+
+def _is_near(one: Alternative) -> bool:
+    """Whether an effect of the library leaves little more than the law in whose place it was fitted."""
+    return one.in_place.chi2_per_dof <= MAX_RESEMBLING_CHI2_RATIO * one.fit.chi2_per_dof
 
 
 def _axes(hypothesis: Hypothesis) -> dict[str, str]:

@@ -79,6 +79,8 @@ class FoundLaw(_Frozen):
     """The flexible law with its standard deviation; of a law with memory, a play's first rise or what a step leaves."""
     as_well: tuple[str, ...]
     """Other places and quantities that do as well, and effects of the library, bent, that span it."""
+    library: tuple[str, ...] = ()
+    """Effects of the library that fit as well in its place, or nearly."""
     gauge: str
     """What no measurement of this kind can tell of it; empty where there is nothing."""
     to_decide: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.progress import Progress
 from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.sentences import listed
 from orchestrator.interface import api
 from orchestrator.interface.cli._interrupting import prompt_interrupt
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
@@ -39,11 +41,18 @@ def discover(
     if as_json:
         say_document(found.model_dump_json(indent=2))
     else:
-        _print(path, found, write, (out or path) / "results")
+        given = [("--effects", effects), *(("--without", one) for one in without), ("--out", out)]
+        _print(path, found, write, [(option, value) for option, value in given if value is not None])
     return 0
 
 
-def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> None:
+Given = Sequence[tuple[str, Path | str]]
+"""Options as they were given, with their values."""
+
+
+def _print(path: Path, found: Discovery, write: Path | None, given: Given) -> None:
+    out = dict(given).get("--out")
+    results = Path(out or path) / "results"
     say(f"{path}: {OUTCOMES[found.outcome]}", f"  {found.reason[0].upper()}{found.reason[1:]}.", "")
     if found.ranking:
         ranked = [
@@ -59,11 +68,13 @@ def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> N
         ]
         say_table(("place", "over", "phase", "law", "log evidence", "of the error"), ranked)
     if found.outcome != "law":
+        say(*next_steps(path, found))
         if write is not None:
             say(f"{write} was not written: there is no law to write")
         return
     for law in found.laws:
         _print_law(law)
+        say(*library_advice(path, law, given))
     volts = [("before", found.before_rms_v, found.chi2_before, found.before)]
     volts += [("with the law", found.after_rms_v, found.chi2_after, found.after)]
     rows = [(label, quantity(v, "V") if v else "-", number(heldout), number(chi2)) for label, v, chi2, heldout in volts]
@@ -71,11 +82,47 @@ def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> N
     if found.floor_rms_v:
         say(f"noise alone leaves {quantity(found.floor_rms_v, 'V')}")
     say_notes([f"picture: {results / 'discovery.svg'}"])
-    names = " ".join(law.name for law in found.laws)
+    say(next_command(path, found, write, given))
+
+
+def next_command(path: Path, found: Discovery, write: Path | None, given: Given) -> str:
+    """The command that writes the laws, or adds them to the model, with the options that were given."""
+    run, names = shlex.quote(str(path)), " ".join(law.name for law in found.laws)
     if write is None:
-        say(f"`fluxbench discover {path} --write FILE.py` writes it as an effect.")
-    else:
-        say(f"written: {write}; `fluxbench add {path} {names} --effects {write}` adds it to the model")
+        return f"`fluxbench discover {run} --write FILE.py{_options(given)}` writes it as an effect."
+    of_add = [("--effects", write), *(pair for pair in given if pair[0] == "--out")]
+    return f"written: {write}; `fluxbench add {run} {names}{_options(of_add)}` adds it to the model"
+
+
+def library_advice(path: Path, law: FoundLaw, given: Given) -> list[str]:
+    """Where an effect of the library is what a law looks like: the command that adds it instead."""
+    if not law.library:
+        return []
+    run = shlex.quote(str(path))
+    options = _options([pair for pair in given if pair[0] != "--without"])
+    like = listed([plain(one) for one in law.library])
+    return [f"it looks like {like}, which the library has: `fluxbench add {run} {law.library[0]}{options}` first"]
+
+
+def next_steps(path: Path, found: Discovery) -> list[str]:
+    """What to measure or try where there is no law."""
+    if found.outcome != "no_law":
+        return []
+    run = shlex.quote(str(path))
+    best = found.ranking[0] if found.ranking else None
+    where = "over a wider range of current, and at a second rotor angle and PWM frequency"
+    if best is not None and best.share > 0.0:
+        share = f"{100.0 * best.share:.0f} % of the error"
+        where = f"over a wider range of {plain(best.quantity)}: {plain(best.place)} over it removes {share}, the most"
+    return [
+        f"to measure next: the same {where}; `fluxbench diagnose` of the new recording, then `discover` again",
+        f"to try next: `fluxbench compare {run}` shows where the error is; `fluxbench new effect NAME` begins a law of "
+        "your own",
+    ]
+
+
+def _options(given: Given) -> str:
+    return "".join(f" {option} {shlex.quote(str(value))}" for option, value in given)
 
 
 def _print_law(law: FoundLaw) -> None:

@@ -128,3 +128,26 @@ def test_a_diagnosis_offers_it_only_where_something_unknown_remains(capsys: pyte
 def test_a_file_in_the_place_of_the_results_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"ends in \.py"):
         api.discover(tmp_path, write=tmp_path / "mine.txt")
+
+
+def test_the_next_command_keeps_the_options_and_what_the_library_has_is_named(
+    found: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found["result"] = a_discovery(laws=(a_law().model_copy(update={"library": ("device_drop",)}),))
+    given = ["--without", "dead_time", "--out", str(tmp_path)]
+    assert run_app(["discover", "first", *given]) == 0
+    out = capsys.readouterr().out
+    assert f"`fluxbench discover first --write FILE.py --without dead_time --out {tmp_path}` writes it" in out
+    assert f"like device drop, which the library has: `fluxbench add first device_drop --out {tmp_path}` first" in out
+    assert run_app(["discover", "first", *given, "--write", "mine.py"]) == 0
+    assert f"`fluxbench add first mine --effects mine.py --out {tmp_path}` adds it" in capsys.readouterr().out
+
+
+def test_without_a_law_it_says_what_to_measure_and_to_try(
+    found: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    found["result"] = a_discovery(outcome="no_law", laws=())
+    assert run_app(["discover", "first"]) == 0
+    out = capsys.readouterr().out
+    assert "to measure next: the same over a wider range of phase currents" in out
+    assert "`fluxbench new effect NAME`" in out
