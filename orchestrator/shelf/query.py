@@ -95,10 +95,22 @@ class RunQuery:
         return [*words, *(condition.value for condition in self.conditions)]
 
 
+COMMON_NAMES: dict[str, str] = {
+    **dict.fromkeys(("r", "rs", "resistance"), "resistance_ohm"),
+    **dict.fromkeys(("ld", "ldd"), "l_dd_h"),
+    **dict.fromkeys(("lq", "lqq"), "l_qq_h"),
+    **dict.fromkeys(("flux", "psi", "pmflux", "ratedflux"), "rated_flux_wb"),
+    **dict.fromkeys(("date", "time"), "created"),
+}
+"""Columns by the names that pages and reports give their quantities, in lower case without underscores."""
+
+
 def known_column(name: str, where: str) -> str:
     """The name of a column; raises `InputError` with the nearest one."""
     if name not in COLUMNS:
-        raise InputError(where, name, f"no such column; {suggestion(name, COLUMNS)}")
+        known = COMMON_NAMES.get(name.lower().replace("_", ""))
+        hint = suggestion(name, COLUMNS) if known is None else f"did you mean {known!r}?"
+        raise InputError(where, name, f"no such column; {hint}")
     return name
 
 

@@ -76,6 +76,8 @@ def parse_document(text: str, name: str) -> Document:
 
 def read_document(path: Path, error: type[InputError] = InputError) -> Document:
     """Read and parse a YAML file; where it cannot be read, or is no mapping, `error` names file and line."""
+    if path.is_dir():
+        raise error(str(path), "", "is a directory; expected a YAML file")
     try:
         return parse_document(read_text(path), str(path))
     except ProcedureError as problem:

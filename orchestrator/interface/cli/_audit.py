@@ -102,6 +102,8 @@ def _print(path: Path, result: MapAudit) -> None:
 
 
 def _rows(result: MapAudit) -> list[tuple[str, str]]:
+    nodes = math.prod(result.nodes)
+    unmeasured = f"{nodes - result.points} of {nodes}, {result.holes} of them holes inside"
     per_axis = (result.parity_d_percent, result.parity_q_percent)
     parity = UNKNOWN if None in per_axis else f"d {percent(per_axis[0])}, q {percent(per_axis[1])} of the range at most"
     gradient = (
@@ -116,7 +118,7 @@ def _rows(result: MapAudit) -> list[tuple[str, str]]:
         ("its direction", _degrees(result.magnet_rad)),
         ("smallest inductance", quantity(result.least_inductance_h, "H")),
         ("points that are not convex", str(len(result.non_convex))),
-        ("holes", str(result.holes)),
+        ("grid points that were not measured", unmeasured),
         ("scatter of points", percent(result.roughness_percent)),
         ("torque of the file over that of the fluxes", UNKNOWN if result.torque_factor is None else torque),
     ]

@@ -19,6 +19,8 @@ YAML_ENDINGS = (".yaml", ".yml")
 
 def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
     """Write the flux map of a run, recording or map file for other tools."""
+    from orchestrator.flux_maps.exporting import FORMATS
+
     report = api.export(path, *formats, motor=motor, out=out)
     if report.caution:
         complain(report.caution)
@@ -26,7 +28,7 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
         say_document(report.model_dump_json(indent=2))
         return 0
     for file in report.files:
-        say(f"{file.format}: {file.path}")
+        say(f"{file.format}: {file.path}", f"  {FORMATS[file.format]}")
     say(f"{percent(report.measured_percent, 3)} of the grid was measured")
     say_notes(note for note in report.notes if note != report.caution)
     return 0

@@ -68,6 +68,7 @@ def test_some_of_the_runs_are_counted_with_the_rest(folder: Path) -> None:
     ("condition", "message"),
     [
         ("resistance", "expected COLUMN=VALUE"),
+        ("r_s>1", "no such column; did you mean 'resistance_ohm'"),
         ("resistence_ohm>1", "no such column; did you mean 'resistance_ohm'"),
         ("resistance_ohm>much", "expected a number, got 'much'"),
     ],
