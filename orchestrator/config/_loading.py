@@ -69,8 +69,8 @@ class LoadedProcedure:
                 raise
             field = (f"{error.where}." if prefix is None else prefix) + error.field
             field = field.rstrip(".")
-            asked = nameplate_questions(self.procedure.motor)
-            questions = [question for question in asked if not question.startswith(f"{field}:")]
+            posed = nameplate_questions(self.procedure.motor)
+            questions = [question for question in posed if not question.startswith(f"{field}:")]
             if not questions:
                 raise type(error)(self.document.place_of(field), field, error.problem) from None
             place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))
