@@ -1,4 +1,4 @@
-"""What a tuning needs to know, asked for at once: resistance, magnet, bus, control frequency, largest speed."""
+"""The values without which nothing is tuned: resistance, magnet, bus, control frequency, largest speed."""
 
 from __future__ import annotations
 
