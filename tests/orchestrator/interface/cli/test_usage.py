@@ -36,7 +36,8 @@ from orchestrator.interface.cli._usage import EXAMPLE
         ("run --queue --json", "--queue: excludes --from, --out, --serial, --remote and --json"),
         (
             "import x.csv",
-            "expected MAPPING FILE... --out DIR, --merge RECORDING... --out DIR, or --guess FILE",
+            "x.csv: a measurement without its mapping: `fluxbench import --guess x.csv` writes one, and --out names "
+            "the new folder",
         ),
         ("runs --nonsense", "No such option: --nonsense; `fluxbench runs --help` lists what there is"),
         ("frobnicate", "No such command 'frobnicate'; `fluxbench --help` lists what there is"),
