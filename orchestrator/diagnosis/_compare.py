@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import is_
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
@@ -19,7 +19,7 @@ from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.motor_model import restored
+from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
 from orchestrator.diagnosis.selection.contrasts import resembling
@@ -84,7 +84,7 @@ def compare_recording(
         )
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     if isinstance(model, MotorModel):
-        title, fit = model.title, setup.fitter.hold(restored(setup, model, model.baseline, library))
+        title, fit = model.title, _held(setup, model, library)
         if model.recording != recording.manifest.name:
             text = "the model was fitted to {fitted_to}, and is held against this recording as it is"
             remarks.append(Remark.of("model_of_another", text, fitted_to=model.recording))
@@ -131,6 +131,34 @@ def bare_model_step(recording: Recording) -> DiagnosisStep:
     """
     setup = open_for_refit(recording, None)
     return diagnosis_step(0, AcceptedModel(None, first_steps(setup, "saturated", {})[-1].fit), setup)
+
+
+@solvable
+def model_step(recording: Recording, model: MotorModel, effects: Sequence[Effect]) -> DiagnosisStep:
+    """Data for figures of where a whole model fails; it is not fitted.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The library, for the effects that the model has.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError
+        As `diagnose_recording`.
+    PluginError
+        If an effect of the model is not in the library, or has other parameters.
+    """
+    require_effects_of(model, {effect.name for effect in effects})
+    setup = open_for_refit(recording, model)
+    fit = _held(setup, model, {c.name: c for c in scaled_library(effects, setup.prepared.manifest)})
+    added = model.ladder[-1].added if model.ladder else None
+    return diagnosis_step(max(len(model.ladder) - 1, 0), AcceptedModel(added, fit), setup)
+
+
+def _held(setup: DiagnosisSetup, model: MotorModel, library: Mapping[str, CandidateEffect]) -> Fit:
+    """A whole model evaluated on a recording, without a fit."""
+    return setup.fitter.hold(restored(setup, model, model.baseline, library))
 
 
 def _benefit(setup: DiagnosisSetup, fit: Fit, after: Fit, name: str) -> Remark:

@@ -74,6 +74,8 @@ class Picture:
     uri: str = ""
     beside: str = ""
     """A second picture of the same, after; then the first one is before."""
+    enlarged: str = ""
+    """The second picture on a scale of its own, where it is too small on the first one's."""
 
 
 def motor_of(material: Material) -> Motor | None:

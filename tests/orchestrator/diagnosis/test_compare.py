@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import bare_model_step, compare_recording
+from orchestrator.diagnosis import bare_model_step, compare_recording, model_step
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeviceDrop
 from protocols import MotorModel, RecordingError
@@ -66,6 +66,9 @@ def test_the_model_that_lies_there_is_taken_as_it_is(with_dead_time: Recording, 
     assert report.model == "saturated + device_drop"
     assert report.chi2 == pytest.approx(read_model(kept).ladder[-1].chi2, rel=1e-9)
     assert [remark.code for remark in report.remarks] == ALWAYS
+    step = model_step(with_dead_time, read_model(kept), [DeviceDrop()])
+    assert (step.added, step.effects) == ("device_drop", ("device_drop",))
+    assert step.chi2 == pytest.approx(report.chi2, rel=1e-9)
 
 
 def test_a_model_of_another_recording_is_stated_to_be_one(clean: Recording, kept: Path) -> None:

@@ -418,6 +418,24 @@ def test_the_legend_of_held_currents_has_the_line_of_the_first_map(monkeypatch: 
         assert [text.get_text() for text in legend.get_texts()] == ["−2.9 A", "−1.45 A", "0 A", "+1.45 A", "+2.9 A"]
 
 
+def test_the_legend_of_several_maps_names_each_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(_figures, "uri", figures.append)
+    bases = {
+        "model": Basis.ENERGY,
+        "injection": Basis.INJECTION,
+        "energy": Basis.ENERGY,
+        "classical": Basis.INTEGRATION,
+    }
+    maps = {name: a_map("map").model_copy(update={"basis": basis}) for name, basis in bases.items()}
+    flux_figure(maps, "d", np.array([-2.9, -1.45, 1.45, 2.9]))
+    legend = figures[-1].axes[0].get_legend()
+    assert legend is not None
+    lines = [handle.get_linestyle() for handle in legend.get_lines()]
+    assert lines == [*["-"] * 5, ":", "-", "--"]
+    assert [text.get_text() for text in legend.get_texts()][5:] == ["model, energy", "injection", "classical"]
+
+
 @pytest.mark.usefixtures("without_figures")
 def test_the_caption_says_how_far_the_ripple_reaches_beyond_the_currents_that_were_held(finished: Path) -> None:
     material = collect(finished)
@@ -519,8 +537,10 @@ def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finishe
     material = replace(collect(finished, reads_paths=False), diagnosis=None)
     assert "Where the model fails" not in render(material, draws=False)
     page = Page(render(replace(material, bare=some_steps()[0]), draws=False))
-    added = render(replace(material, bare=some_steps()[0], modelled=("dead_time",)), draws=False)
-    assert "(model.json has dead time, which is left out here): error" in added
+    bare, present = some_steps()
+    added = Page(render(replace(material, bare=bare, present=present, modelled=("dead_time",)), draws=False)).text
+    assert "Before: R_s and a saturated map alone" in added
+    assert "After: model.json as it is now, with dead time: error 4.1 mV rms" in added
     assert "Where the model fails R_s and a saturated map alone, without any effect: error " in page.text
     assert "Residual against each phase's own current" in page.text
     assert (
