@@ -111,7 +111,7 @@ def compare_recording(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(fit)),
         rms_v=mean_rms_v(fit, lambda _: True),
         chi2=fit.chi2_per_dof,
-        stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in setup.prepared.pieces)),
+        stages=tuple(_stage_error(fit, *row) for row in _stage_rows(setup.prepared.pieces)),
         worst=_worst(fit, pieces),
         parity=AxisPercent(d_percent=100.0 * parity[0] / rated, q_percent=100.0 * parity[1] / rated),
         reciprocity_percent=100.0 * reciprocity,
@@ -167,16 +167,28 @@ def _benefit(setup: DiagnosisSetup, fit: Fit, after: Fit, name: str) -> Remark:
     return added_remark(name, fit, after, found, resembling(setup.fitter, after, name, ()))
 
 
-def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
-    def of_stage(piece: SegmentData) -> bool:
-        return piece.stage is stage
+def _stage_and_pwm(piece: SegmentData) -> tuple[SegmentStage, float]:
+    """What makes a row of the comparison: some errors of an inverter grow with its PWM frequency."""
+    return piece.stage, piece.signals.pwm_frequency_hz
+
+
+def _stage_rows(pieces: Sequence[SegmentData]) -> list[tuple[SegmentStage, float]]:
+    """The stages in their order, each with its PWM frequencies."""
+    stages = list(dict.fromkeys(piece.stage for piece in pieces))
+    return sorted(dict.fromkeys(map(_stage_and_pwm, pieces)), key=lambda row: stages.index(row[0]))
+
+
+def _stage_error(fit: Fit, stage: SegmentStage, pwm_hz: float) -> StageError:
+    def of_row(piece: SegmentData) -> bool:
+        return _stage_and_pwm(piece) == (stage, pwm_hz)
 
     return StageError(
         stage=stage.value,
-        rms_v=mean_rms_v(fit, of_stage),
-        noise_rms_v=noise_rms_v(fit, of_stage),
-        chi2=fit.chi2_of(of_stage),
-        current_rms_a=current_rms(fit, of_stage),
+        pwm_frequency_hz=pwm_hz,
+        rms_v=mean_rms_v(fit, of_row),
+        noise_rms_v=noise_rms_v(fit, of_row),
+        chi2=fit.chi2_of(of_row),
+        current_rms_a=current_rms(fit, of_row),
     )
 
 
@@ -186,7 +198,11 @@ def _worst(fit: Fit, pieces: Sequence[SegmentData]) -> tuple[WorstSegment, ...]:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
         rms, noise = (of(fit, partial(is_, piece)) for of in (mean_rms_v, noise_rms_v))
         currents = {"i_d_a": float(i_d), "i_q_a": float(i_q)}
-        rows.append(WorstSegment(segment=piece.segment.id, **currents, rms_v=rms, noise_rms_v=noise))
+        pwm_hz = piece.signals.pwm_frequency_hz
+        segment = WorstSegment(
+            segment=piece.segment.id, pwm_frequency_hz=pwm_hz, **currents, rms_v=rms, noise_rms_v=noise
+        )
+        rows.append(segment)
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:MAX_LISTED_SEGMENTS])
 
 

@@ -110,7 +110,10 @@ def with_usual_values(hidden: Effects) -> Effects:
     from plugins.drives.simulated.effects import Effects as PlantEffects
 
     whole = PlantEffects.model_validate(hidden).model_dump(exclude_none=True)
-    return {name: {k: v for k, v in whole[name].items() if k in {*hidden[name], *_roles(name)}} for name in hidden}
+    return {
+        name: {k: v for k, v in whole[name].items() if k in hidden[name] or (v and k in _roles(name))}
+        for name in hidden
+    }
 
 
 def form_parameters(name: str, parameters: Iterable[str]) -> list[str]:

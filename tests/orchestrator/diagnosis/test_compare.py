@@ -54,6 +54,16 @@ def test_the_step_of_the_bare_model_has_no_effect_and_the_error_of_the_compariso
     assert step.rms_v > 2.0 * step.noise_rms_v
 
 
+def test_each_pwm_frequency_of_a_stage_has_a_row_of_its_own(at_two_pwm_frequencies: Recording, tmp_path: Path) -> None:
+    rows = compare_recording(at_two_pwm_frequencies, out=tmp_path).stages
+    of_holds = {row.pwm_frequency_hz: row.rms_v or 0.0 for row in rows if row.stage == "resistance"}
+    (low, usual), (high, twice) = sorted(of_holds.items())
+    assert high == 2.0 * (low or 0.0)
+    # What dead time loses is twice as much, of which the fitted R_s hides more at the usual frequency.
+    assert twice > 1.8 * usual
+    assert len({row.pwm_frequency_hz for row in rows if row.stage == "injection"}) == 1
+
+
 @pytest.mark.slow
 def test_a_linear_model_s_flux_wanders_from_what_the_sweeps_integrate(clean: Recording) -> None:
     linear, saturated = (compare_recording(clean, model=model).crossings for model in ("linear", "saturated"))
