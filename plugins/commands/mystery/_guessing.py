@@ -103,7 +103,7 @@ def sealed_effects(run: Path) -> Effects:
 
 
 def with_usual_values(hidden: Effects) -> Effects:
-    """The hidden effects with the values that were not drawn but are the plant's usual ones, as far as a model has them.
+    """The hidden effects with the plant's usual values of what was not drawn, as far as a model has it.
 
     Where the plant derives a value from the motor, it is not among them.
     """

@@ -185,6 +185,20 @@ def _bare(material: Material) -> dict[str, Any] | None:
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _paths_picture(material)
+    if not material.maps and not content.is_estimated(material):
+        if material.readings:
+            yield _resistance_picture(material)
+        title = f"{'F' if material.readings else 'R_s, f'}luxes and inductances"
+        yield Picture(title, f"Not drawn: {content.why_no_map(material)}.")
+    else:
+        yield from _estimated_pictures(material, main)
+    if len(material.paths.temperature_c) > 1:
+        text = "Mean of each segment of direct current, as recorded."
+        yield Picture("Temperature over the run", text, figures.temperature_figure(material.paths.temperature_c))
+
+
+def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
+    """R_s, fluxes and inductances; each says for itself why it is not drawn."""
     yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
@@ -208,9 +222,6 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
             yield Picture(title, text, figures.inductance_figure(main, name))
     if main is not None and np.isfinite(main.psi_d).any():
         yield from _plane_pictures(main, content.motor_of(material))
-    if len(material.paths.temperature_c) > 1:
-        text = "Mean of each segment of direct current, as recorded."
-        yield Picture("Temperature over the run", text, figures.temperature_figure(material.paths.temperature_c))
 
 
 def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:

@@ -53,6 +53,7 @@ from protocols import (
     StorageError,
     StreamSetup,
 )
+from tests.orchestrator.tuning.test_words import a_report as a_tuning
 from tests.plugins.streams.example_run import a_map, a_report, a_run_directory
 from tests.plugins.streams.report.example_diagnosis import some_steps
 from tests.support.cases import few
@@ -215,7 +216,7 @@ def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) ->
     page = page_of(run)
     assert len(page.all("img")) == 2  # the paths, and R_s from the journal
     assert f"Flux map not estimated yet: fluxbench estimate {run.name}" in page.text
-    assert page.text.count(f"Not drawn: not estimated yet: fluxbench estimate {run.name}") == 6
+    assert page.text.count(f"Not drawn: not estimated yet: fluxbench estimate {run.name}") == 1
     assert f"No flux map: not estimated yet: fluxbench estimate {run.name}" in page.text
     assert "not measured" not in page.text.lower()
     assert f"fluxbench report {run.name} draws where it fails" in page.text
@@ -548,6 +549,15 @@ def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finishe
         in page.text
     )
     assert "draws where it fails" not in page.text
+
+
+def test_of_two_figures_for_one_error_the_page_says_why_they_differ(finished: Path) -> None:
+    estimates = a_report().model_copy(update={"seen_by_injection": (SEEN,)})
+    material = replace(collect(finished, reads_paths=False), estimates=estimates)
+    assert "section on the drive" not in sensorless.note(material)
+    beside = sensorless.note(replace(material, tuning=a_tuning(current_limit_a=2.35, injection_error_deg=23.5)))
+    assert "other figures (23.5°, 0.295° corrected by the map)" in beside
+    assert "over all currents within its limit of 2.35 A" in beside
 
 
 @pytest.mark.slow
