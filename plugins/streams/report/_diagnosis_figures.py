@@ -383,7 +383,7 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
 
 def _not_added(entry: JointEntry) -> str:
     bound = joint_bound(entry)
-    return f"not added; {bound}" if bound else "not added"
+    return f"not added;\n  {bound}" if bound else "not added"
 
 
 def joint_figure(joint: Sequence[JointEntry], added: Collection[str]) -> str:

@@ -74,10 +74,11 @@ def flux_figure(maps: dict[str, FluxMap], axis: str, reached: RealArray | None =
         axes.plot(
             [], [], "-" if len(lines) > 1 else next(iter(lines.values())), color=colour, label=_amperes(value, held)
         )
-    for method, line in lines.items() if len(lines) > 1 else ():
-        axes.plot([], [], line, color=GUIDE, lw=1.5, label=method)
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
     axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=STYLE.small_pt, title_fontsize=STYLE.small_pt)
+    if len(lines) > 1:
+        shown = [axes.plot([], [], line, color=GUIDE, lw=1.5, label=method)[0] for method, line in lines.items()]
+        figure.legend(handles=shown, loc="outside upper center", ncols=2, frameon=False, fontsize=STYLE.small_pt)
     return uri(figure)
 
 

@@ -430,11 +430,12 @@ def test_the_legend_of_several_maps_names_each_line(monkeypatch: pytest.MonkeyPa
     }
     maps = {name: a_map("map").model_copy(update={"basis": basis}) for name, basis in bases.items()}
     flux_figure(maps, "d", np.array([-2.9, -1.45, 1.45, 2.9]))
-    legend = figures[-1].axes[0].get_legend()
-    assert legend is not None
-    lines = [handle.get_linestyle() for handle in legend.get_lines()]
-    assert lines == [*["-"] * 5, ":", "-", "--"]
-    assert [text.get_text() for text in legend.get_texts()][5:] == ["model, energy", "injection", "classical"]
+    (legend,) = figures[-1].legends
+    assert [handle.get_linestyle() for handle in legend.get_lines()] == [":", "-", "--"]
+    assert [text.get_text() for text in legend.get_texts()] == ["model, energy", "injection", "classical"]
+    held = figures[-1].axes[0].get_legend()
+    assert held is not None
+    assert [handle.get_linestyle() for handle in held.get_lines()] == ["-"] * 5
 
 
 @pytest.mark.usefixtures("without_figures")

@@ -156,7 +156,7 @@ def test_the_library_begins_with_what_was_added_and_marks_what_was_detected_but_
     assert [text.get_text().strip() for text in axes.texts] == [
         "added",
         "added",
-        "not added; voltage at most 1.3 mV",
+        "not added;\n  voltage at most 1.3 mV",
         "",
     ]
 
