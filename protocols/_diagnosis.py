@@ -76,12 +76,15 @@ class DiagnosisStep(ArrayModel):
     i_dq: Vectors
     """Believed frame, shape (n, 2)."""
     residual_dq_v: Vectors
+    """Voltage of the recording less that of the model, v - (R_s i + d psi/dt) and what the effects add to it."""
     noise_v: Samples
     """Standard deviation that the sensors' noise gives each row, shape (n,)."""
     i_abc: Phases
     """Phase currents of the rows, shape (n, 3)."""
     residual_abc_v: Phases
     """Phase components of the residual, zero sum."""
+    pwm_frequency_hz: Samples | None = None
+    """Of each row, shape (n,); None in files of older versions."""
     excerpts: tuple[CurrentExcerpt, ...] = ()
     loops: tuple[FluxLoop, ...] = ()
     resistance: ResistanceCourse | None = None

@@ -281,9 +281,10 @@ class Explanation(Lenient):
 
 
 class StageError(Lenient):
-    """The residual in one kind of stage."""
+    """The residual in one kind of stage, at one PWM frequency."""
 
     stage: str
+    pwm_frequency_hz: Number = None
     rms_v: Number
     noise_rms_v: Number = None
     """What the noise of its readings alone would leave."""
@@ -295,6 +296,7 @@ class WorstSegment(Lenient):
     """A segment that the model fits badly, with its mean current."""
 
     segment: str
+    pwm_frequency_hz: Number = None
     i_d_a: Number
     i_q_a: Number
     rms_v: Number

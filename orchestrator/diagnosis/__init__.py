@@ -4,7 +4,7 @@ The method is a weak form of the voltage equation: R_s, a co-energy map and the 
 windowed integrals of the record, whitened by the sensors' own noise. Effects are arguments; none is known by name.
 """
 
-from orchestrator.diagnosis._compare import bare_model_step, compare_recording
+from orchestrator.diagnosis._compare import bare_model_step, compare_recording, model_step
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
 from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
@@ -46,6 +46,7 @@ __all__ = [
     "linear_magnetics",
     "load_diagnosis",
     "model_changes",
+    "model_step",
     "remove_effect",
     "require_known",
     "save_diagnosis",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from operator import is_
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
@@ -19,7 +19,7 @@ from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.motor_model import restored
+from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
 from orchestrator.diagnosis.selection.contrasts import resembling
@@ -84,7 +84,7 @@ def compare_recording(
         )
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     if isinstance(model, MotorModel):
-        title, fit = model.title, setup.fitter.hold(restored(setup, model, model.baseline, library))
+        title, fit = model.title, _held(setup, model, library)
         if model.recording != recording.manifest.name:
             text = "the model was fitted to {fitted_to}, and is held against this recording as it is"
             remarks.append(Remark.of("model_of_another", text, fitted_to=model.recording))
@@ -111,7 +111,7 @@ def compare_recording(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(fit)),
         rms_v=mean_rms_v(fit, lambda _: True),
         chi2=fit.chi2_per_dof,
-        stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in setup.prepared.pieces)),
+        stages=tuple(_stage_error(fit, *row) for row in _stage_rows(setup.prepared.pieces)),
         worst=_worst(fit, pieces),
         parity=AxisPercent(d_percent=100.0 * parity[0] / rated, q_percent=100.0 * parity[1] / rated),
         reciprocity_percent=100.0 * reciprocity,
@@ -133,22 +133,62 @@ def bare_model_step(recording: Recording) -> DiagnosisStep:
     return diagnosis_step(0, AcceptedModel(None, first_steps(setup, "saturated", {})[-1].fit), setup)
 
 
+@solvable
+def model_step(recording: Recording, model: MotorModel, effects: Sequence[Effect]) -> DiagnosisStep:
+    """Data for figures of where a whole model fails; it is not fitted.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The library, for the effects that the model has.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError
+        As `diagnose_recording`.
+    PluginError
+        If an effect of the model is not in the library, or has other parameters.
+    """
+    require_effects_of(model, {effect.name for effect in effects})
+    setup = open_for_refit(recording, model)
+    fit = _held(setup, model, {c.name: c for c in scaled_library(effects, setup.prepared.manifest)})
+    added = model.ladder[-1].added if model.ladder else None
+    return diagnosis_step(max(len(model.ladder) - 1, 0), AcceptedModel(added, fit), setup)
+
+
+def _held(setup: DiagnosisSetup, model: MotorModel, library: Mapping[str, CandidateEffect]) -> Fit:
+    """A whole model evaluated on a recording, without a fit."""
+    return setup.fitter.hold(restored(setup, model, model.baseline, library))
+
+
 def _benefit(setup: DiagnosisSetup, fit: Fit, after: Fit, name: str) -> Remark:
     """Remark on whether one more effect helps."""
     found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == name)
     return added_remark(name, fit, after, found, resembling(setup.fitter, after, name, ()))
 
 
-def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
-    def of_stage(piece: SegmentData) -> bool:
-        return piece.stage is stage
+def _stage_and_pwm(piece: SegmentData) -> tuple[SegmentStage, float]:
+    """What makes a row of the comparison: some errors of an inverter grow with its PWM frequency."""
+    return piece.stage, piece.signals.pwm_frequency_hz
+
+
+def _stage_rows(pieces: Sequence[SegmentData]) -> list[tuple[SegmentStage, float]]:
+    """The stages in their order, each with its PWM frequencies."""
+    stages = list(dict.fromkeys(piece.stage for piece in pieces))
+    return sorted(dict.fromkeys(map(_stage_and_pwm, pieces)), key=lambda row: stages.index(row[0]))
+
+
+def _stage_error(fit: Fit, stage: SegmentStage, pwm_hz: float) -> StageError:
+    def of_row(piece: SegmentData) -> bool:
+        return _stage_and_pwm(piece) == (stage, pwm_hz)
 
     return StageError(
         stage=stage.value,
-        rms_v=mean_rms_v(fit, of_stage),
-        noise_rms_v=noise_rms_v(fit, of_stage),
-        chi2=fit.chi2_of(of_stage),
-        current_rms_a=current_rms(fit, of_stage),
+        pwm_frequency_hz=pwm_hz,
+        rms_v=mean_rms_v(fit, of_row),
+        noise_rms_v=noise_rms_v(fit, of_row),
+        chi2=fit.chi2_of(of_row),
+        current_rms_a=current_rms(fit, of_row),
     )
 
 
@@ -158,7 +198,11 @@ def _worst(fit: Fit, pieces: Sequence[SegmentData]) -> tuple[WorstSegment, ...]:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
         rms, noise = (of(fit, partial(is_, piece)) for of in (mean_rms_v, noise_rms_v))
         currents = {"i_d_a": float(i_d), "i_q_a": float(i_q)}
-        rows.append(WorstSegment(segment=piece.segment.id, **currents, rms_v=rms, noise_rms_v=noise))
+        pwm_hz = piece.signals.pwm_frequency_hz
+        segment = WorstSegment(
+            segment=piece.segment.id, pwm_frequency_hz=pwm_hz, **currents, rms_v=rms, noise_rms_v=noise
+        )
+        rows.append(segment)
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:MAX_LISTED_SEGMENTS])
 
 

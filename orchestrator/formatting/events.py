@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, map_source, plain
 from orchestrator.formatting.quantities import duration, number, plural, quantity
-from orchestrator.formatting.results import resistance
+from orchestrator.formatting.results import resistance, resistance_course
 from orchestrator.formatting.sentences import typographic
 from protocols import (
     Compared,
@@ -129,8 +129,13 @@ def step_error_v(step: DiagnosisStep) -> float:
 
 
 def _resistance_source(estimate: ResistanceEstimate) -> str:
-    """Of two values in one run, which is which: only the model takes out the winding's heating."""
-    return "of the diagnosed model at 0 s" if estimate.is_of_model else "by the estimators, over the whole run"
+    """Of two values in one run, which is which: only the model takes out the winding's heating.
+
+    An interval is of the readings' noise alone, and much narrower than what the winding's temperature changes.
+    """
+    if estimate.is_of_model:
+        return "of the diagnosed model at 0 s, before any current warms the winding; the interval is of noise alone"
+    return f"by the estimators, over the whole run ({resistance_course(estimate)}); the interval is of noise alone"
 
 
 def _comparison(report: CompareReport) -> str:

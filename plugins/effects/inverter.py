@@ -181,7 +181,7 @@ class DeadTime(BatchEffect, RemarkingEffect):
 
     name: ClassVar[str] = "dead_time"
     summary: ClassVar[str] = "The inverter's dead time takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "A voltage step where a phase current changes sign; it grows with the PWM frequency."
+    signature: ClassVar[str] = "A step up where a phase current turns positive; it grows with the PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = ""
@@ -290,7 +290,7 @@ class DeviceDrop(BatchEffect):
 
     name: ClassVar[str] = "device_drop"
     summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "A voltage step where a phase current changes sign, the same at every PWM frequency."
+    signature: ClassVar[str] = "A step up where a phase current turns positive, the same at every PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = "The switches' on-resistance counts as R_s; no measurement of this kind tells them apart."
@@ -337,7 +337,9 @@ class VoltageBias(BatchEffect):
 
     name: ClassVar[str] = "voltage_bias"
     summary: ClassVar[str] = "The inverter keeps a constant voltage back from the commanded one."
-    signature: ClassVar[str] = "A constant residual, the same at every current."
+    signature: ClassVar[str] = (
+        "A constant residual, the bias itself, the same at every current; none with the gates off."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
     gauge: ClassVar[str] = (
@@ -370,7 +372,9 @@ class BusSag(BatchEffect):
 
     name: ClassVar[str] = "bus_sag"
     summary: ClassVar[str] = "The bus voltage sags with the power drawn, and the drive does not know."
-    signature: ClassVar[str] = "A residual along the voltage that grows with voltage times power."
+    signature: ClassVar[str] = (
+        "A residual along the voltage, with its sign where power is drawn; it grows with voltage times power."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.BUS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "A constant error of the bus voltage scales R_s and the flux together."

@@ -46,7 +46,9 @@ class EddyCurrents(BatchEffect):
 
     name: ClassVar[str] = "eddy_currents"
     summary: ClassVar[str] = "Eddy currents in the iron add a current in step with the voltage."
-    signature: ClassVar[str] = "A square current in the ripple, linear in the injected amplitude."
+    signature: ClassVar[str] = (
+        "A square in the measured ripple, with the sign of its slope, linear in the injected amplitude."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
@@ -192,7 +194,9 @@ class Hysteresis(RandomBatchEffect):
 
     name: ClassVar[str] = "hysteresis"
     summary: ClassVar[str] = "The iron's hysteresis lags the flux behind the current, whatever the speed."
-    signature: ClassVar[str] = "A loop that does not depend on rate; the inductance of small ripple is smaller."
+    signature: ClassVar[str] = (
+        "A flux loop that does not depend on rate; the measured ripple is larger, per volt, at small amplitudes."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""

@@ -77,7 +77,9 @@ class WindingHeating(BatchEffect):
 
     name: ClassVar[str] = "winding_heating"
     summary: ClassVar[str] = "The winding warms up under its own loss, and its resistance rises."
-    signature: ClassVar[str] = "R_s rises as the winding's loss warms it; the ripple shows nothing of it."
+    signature: ClassVar[str] = (
+        "A residual along the current, with its sign, that grows as the winding's loss warms it; none in the ripple."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
@@ -136,7 +138,7 @@ class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
 
     name: ClassVar[str] = "resistance_with_temperature"
     summary: ClassVar[str] = "The resistance follows the temperature that was logged."
-    signature: ClassVar[str] = "A residual along the current that goes with the thermometer."
+    signature: ClassVar[str] = "A residual along the current, with its sign, that rises and falls with the thermometer."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "R_s is the resistance at the first temperature that was logged."
@@ -173,7 +175,7 @@ class SkinEffect(BatchEffect):
 
     name: ClassVar[str] = "skin_effect"
     summary: ClassVar[str] = "The ripple sees more resistance than the direct current."
-    signature: ClassVar[str] = "Ripple in phase with the ripple current."
+    signature: ClassVar[str] = "A residual in phase with the ripple current; the measured ripple is early, and smaller."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""

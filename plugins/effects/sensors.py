@@ -218,7 +218,7 @@ class CurrentOffset(BatchEffect):
     name: ClassVar[str] = "current_offset"
     summary: ClassVar[str] = "The current sensors read a constant beside the current."
     signature: ClassVar[str] = (
-        "A constant residual R_s o under direct current, also with the gates off, and a shifted map."
+        "A constant residual of minus R_s o under direct current, also with the gates off, and a shifted map."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
@@ -248,7 +248,7 @@ class CurrentOffsetDrift(BatchEffect):
 
     name: ClassVar[str] = "current_offset_drift"
     summary: ClassVar[str] = "The current sensors' offsets drift as the experiment goes on."
-    signature: ClassVar[str] = "A constant residual, the same at every current, that grows with time."
+    signature: ClassVar[str] = "A constant residual of minus R_s o, the same at every current, that grows with time."
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""

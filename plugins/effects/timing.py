@@ -52,7 +52,9 @@ class VoltageDelay(BatchEffect):
 
     name: ClassVar[str] = "voltage_delay"
     summary: ClassVar[str] = "The voltage acts later than commanded."
-    signature: ClassVar[str] = "Ripple in quadrature, at the edges of the injected wave."
+    signature: ClassVar[str] = (
+        "The measured ripple is late: less the model's it is against the slope, at every frequency alike."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.DELAY
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
     gauge: ClassVar[str] = ""
@@ -78,7 +80,9 @@ class CurrentFilter(BatchEffect):
 
     name: ClassVar[str] = "current_filter"
     summary: ClassVar[str] = "The current sensors lag."
-    signature: ClassVar[str] = "Ripple in quadrature, as from a late voltage, but acting on the current."
+    signature: ClassVar[str] = (
+        "The measured ripple is late, as from a late voltage: against the slope, and less at high frequencies."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
     gauge: ClassVar[str] = ""

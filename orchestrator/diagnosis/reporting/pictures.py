@@ -76,6 +76,9 @@ def diagnosis_step(
         noise_v=np.concatenate([row.noise_v for row in rows])[shown],
         i_abc=to_phases(i_ab),
         residual_abc_v=to_phases(residual_ab),
+        pwm_frequency_hz=np.concatenate([np.full(len(r.time_s), r.piece.signals.pwm_frequency_hz) for r in rows])[
+            shown
+        ],
         excerpts=excerpts(fit),
         loops=flux_loops(fit),
         resistance=_resistance_course(fit, rows),

@@ -123,15 +123,20 @@ def _progress(as_json: bool) -> Progress:
 def _print_comparison(path: Path, report: CompareReport) -> None:
     say(f"{path}: the model {report.model}")
     volts, amps = partial(quantity, unit="V"), partial(quantity, unit="A")
+    pwm = partial(quantity, unit="Hz")
     rows = [
-        (s.stage, volts(s.rms_v), volts(s.noise_rms_v), number(s.chi2), amps(s.current_rms_a)) for s in report.stages
+        (s.stage, pwm(s.pwm_frequency_hz), volts(s.rms_v), volts(s.noise_rms_v), number(s.chi2), amps(s.current_rms_a))
+        for s in report.stages
     ]
-    say_table(("stage", "rms error", "noise floor", "chi2", "current error"), rows)
+    say_table(("stage", "PWM", "rms error", "noise floor", "chi2", "current error"), rows)
     floor = volts(report.noise_floor.rms_v)
     say(f"over all stages: error {volts(report.rms_v)}, noise floor {floor}, chi2 {number(report.chi2)}")
     say(CHI2_MEANING, NOISE_FLOOR_MEANING, "")
-    worst = [(w.segment, amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v)) for w in report.worst]
-    say_table(("worst", "mean i_d", "mean i_q", "rms error", "noise floor"), worst)
+    worst = [
+        (w.segment, pwm(w.pwm_frequency_hz), amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v))
+        for w in report.worst
+    ]
+    say_table(("worst", "PWM", "mean i_d", "mean i_q", "rms error", "noise floor"), worst)
     say_notes(report.notes)
 
 

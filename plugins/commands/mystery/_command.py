@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from plugins.commands.mystery._guessing import Effects, GuessedSize, Verdict
     from protocols import Procedure
 
+FORM_MEANING = (
+    "* of the simulated motor's own formula. The library's formulas are written independently: of another curve the "
+    "best value is another, and may lie outside the diagnosis' interval."
+)
 WHOLE = "expected a whole number from 0 on"
 
 
@@ -212,10 +216,18 @@ def _fitted(path: Path) -> dict[str, dict[str, float]]:
 
 
 def _print_hidden(hidden: Effects) -> None:
+    from plugins.commands.mystery._guessing import form_parameters, with_usual_values
+
     if not hidden:
         _print_line("Nothing was hidden.")
-    for name, parameters in hidden.items():
-        _print_line(f"{name}: " + ", ".join(_in_words(name, key, value) for key, value in parameters.items()))
+    is_of_form = False
+    for name, parameters in with_usual_values(hidden).items():
+        of_form = form_parameters(name, parameters)
+        is_of_form |= bool(of_form)
+        words = [_in_words(name, key, value) + ("*" if key in of_form else "") for key, value in parameters.items()]
+        _print_line(f"{name}: {', '.join(words)}")
+    if is_of_form:
+        _print_line(FORM_MEANING)
 
 
 def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:

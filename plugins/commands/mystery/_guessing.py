@@ -102,6 +102,30 @@ def sealed_effects(run: Path) -> Effects:
     return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in hidden.items()}
 
 
+def with_usual_values(hidden: Effects) -> Effects:
+    """The hidden effects with the plant's usual values of what was not drawn, as far as a model has it.
+
+    Where the plant derives a value from the motor, it is not among them.
+    """
+    from plugins.drives.simulated.effects import Effects as PlantEffects
+
+    whole = PlantEffects.model_validate(hidden).model_dump(exclude_none=True)
+    return {
+        name: {k: v for k, v in whole[name].items() if k in hidden[name] or (v and k in _roles(name))}
+        for name in hidden
+    }
+
+
+def form_parameters(name: str, parameters: Iterable[str]) -> list[str]:
+    """Those parameters that describe an effect's form rather than its size."""
+    roles = _roles(name)
+    return [one for one in parameters if roles.get(one) is ParameterRole.SHAPE]
+
+
+def _roles(name: str) -> dict[str, ParameterRole]:
+    return {p.name: p.role for p in load_plugin(PluginKind.EFFECTS, name)().Parameters.declared()}
+
+
 def caused_effects(run: Path) -> Effects:
     """Effects that the run itself caused: the rotor's rest angle, where it is large enough."""
     from plugins.drives.simulated import misalignment

@@ -81,6 +81,8 @@ class Material:
     """The effects of `model.json`."""
     bare: DiagnosisStep | None = None
     """Where the bare model fails, before any diagnosis; None where it was not compared."""
+    present: DiagnosisStep | None = None
+    """Where `model.json` fails, if its effects are not the diagnosis'; None where it was not compared."""
 
     @property
     def ended(self) -> RunEnded | None:
@@ -116,12 +118,14 @@ def is_worth_a_report(directory: Path) -> bool:
 def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False) -> Material:
     """Read everything (`reads_paths`: waveforms too); raises `RecordingError` where it is neither run nor recording.
 
-    With `compares`, the bare model is fitted to a recording that was not diagnosed.
+    With `compares`, the bare model is fitted to a recording that was not diagnosed, and a model that was changed by
+    hand is evaluated.
     """
     if not is_worth_a_report(directory):
         raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
     # Its kernels take a second to import, and the stream is loaded when a run begins.
-    from orchestrator.diagnosis import bare_model_step, load_diagnosis, model_changes
+    from orchestrator.diagnosis import bare_model_step, load_diagnosis, model_changes, model_step
+    from orchestrator.interface.api import chosen_effects
 
     problems: list[str] = []
 
@@ -160,13 +164,17 @@ def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False
     model = attempt(lambda: read_model(directory), wanted=has_model(directory))
     modelled = tuple(effect.name for effect in model.effects) if model is not None else ()
     changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
+    present = None
+    if recording is not None and model is not None:
+        is_changed = bool(changes if diagnosis is not None else modelled)
+        present = attempt(lambda: model_step(recording, model, chosen_effects()), wanted=compares and is_changed)
     discovery = attempt(lambda: _discovery(directory), wanted=(directory / "results" / "discovery.json").is_file())
     tuning = attempt(lambda: _tuning(directory), wanted=(directory / "tuning" / "tuning.json").is_file())
     problems += _notes_after_the_end(journal)
     shown = paths or Paths()
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes,
-        discovery, tuning, modelled, bare,
+        discovery, tuning, modelled, bare, present,
     )  # fmt: skip
 
 

@@ -74,6 +74,8 @@ class Picture:
     uri: str = ""
     beside: str = ""
     """A second picture of the same, after; then the first one is before."""
+    enlarged: str = ""
+    """The second picture on a scale of its own, where it is too small on the first one's."""
 
 
 def motor_of(material: Material) -> Motor | None:
@@ -341,6 +343,9 @@ def _map_lines(material: Material) -> Iterator[Line]:
     report = material.estimates
     if report is None or report.method is None:
         yield Line("Flux map", why_no_map(material))
+        return
+    if not is_estimated(material):
+        yield Line("Flux map", f"of model.json alone, as drawn below; the estimators’ maps are {why_no_map(material)}")
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"

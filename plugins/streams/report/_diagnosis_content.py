@@ -57,8 +57,8 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
     return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
 
 
-def bare_errors(step: DiagnosisStep) -> str:
-    """The error of the bare model beside the noise."""
+def step_errors(step: DiagnosisStep) -> str:
+    """The error of one model beside the noise."""
     error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
     held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
     return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"

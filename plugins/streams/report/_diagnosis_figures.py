@@ -5,11 +5,12 @@ Black is measured, vermilion is what the model with its effects says, grey is th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.formatting.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
 from orchestrator.formatting.drawing import (
@@ -27,13 +28,15 @@ from orchestrator.formatting.drawing import (
     uri,
 )
 from orchestrator.formatting.names import plain, rung_name
-from orchestrator.formatting.quantities import number
+from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.results import joint_bound
 from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Shown = TypeVar("Shown")
 SURE_Z = 4.0
 """Size over standard deviation from which chance is no explanation."""
 _TIGHT: dict[str, Any] = {"handletextpad": 0.1, "columnspacing": 0.8, "markerscale": 1.4}
@@ -79,13 +82,37 @@ class _Plane:
     mean: RealArray
 
 
-def plane_figures(before: DiagnosisStep, after: DiagnosisStep) -> tuple[str, str]:
-    """The residual in each cell of the current plane, rms as colour, mean as arrow; both on the first one's scale."""
+@dataclass(frozen=True)
+class Panels:
+    """The same drawn of the first model and of the last: both on the first one's scale, and the last on its own."""
+
+    before: str
+    after: str = ""
+    """Empty where the two models are one."""
+    enlarged: str = ""
+    """Empty where the last model's own scale is not much finer."""
+
+
+ENLARGED_BELOW: float = 0.4
+"""Size of the last residual over the first one's from which it is drawn on a scale of its own, too."""
+
+
+def plane_figures(before: DiagnosisStep, after: DiagnosisStep) -> Panels:
+    """The residual in each cell of the current plane, rms as colour, mean as arrow."""
     cells = [_cells(step) for step in (before, after)]
-    known = cells[0].rms[np.isfinite(cells[0].rms)]
-    top = float(np.percentile(known, 98)) if len(known) else 1.0
-    first, last = (_plane(cell, top or 1.0) for cell in cells)
-    return first, last
+    return _panels(cells, [_top(cell.rms[np.isfinite(cell.rms)], 98) for cell in cells], _plane, before is after)
+
+
+def _panels(shown: Sequence[Shown], tops: Sequence[float], draw: Callable[[Shown, float], str], is_one: bool) -> Panels:
+    (first, last), (top, own) = shown, tops
+    if is_one:
+        return Panels(draw(first, top))
+    return Panels(draw(first, top), draw(last, top), draw(last, own) if own < ENLARGED_BELOW * top else "")
+
+
+def _top(sizes: RealArray, percentile: float) -> float:
+    """The size that a scale has to hold."""
+    return float(np.percentile(sizes, percentile)) or 1.0 if len(sizes) else 1.0
 
 
 def _cells(step: DiagnosisStep, along: int = 13) -> _Plane:
@@ -139,44 +166,87 @@ def _plane(cells: _Plane, top_v: float) -> str:
     return uri(figure)
 
 
-def phase_figures(before: DiagnosisStep, after: DiagnosisStep) -> tuple[str, str]:
-    """Residual of each phase over that phase's current, the three laid over each other; both on one scale."""
-    top = 1e3 * float(np.nanpercentile(np.abs(before.residual_abc_v), 99.5)) if len(before.time_s) else 1.0
-    return _phases(before, 1.15 * (top or 1.0)), _phases(after, 1.15 * (top or 1.0))
+def phase_figures(before: DiagnosisStep, after: DiagnosisStep) -> Panels:
+    """Residual of each phase over that phase's current, the three laid over each other."""
+    shown = [_phases_of(step) for step in (before, after)]
+    tops = [1.15e3 * _top(np.abs(phases.residual_v).ravel(), 99.5) for phases in shown]
+    return _panels(shown, tops, _phases, before is after)
 
 
-def _phases(step: DiagnosisStep, top_mv: float) -> str:
-    figure, axes = new_figure()
-    driven = np.array([stage != "gates_off" for stage in step.stage])
+@dataclass(frozen=True)
+class _PhaseResidual:
+    """Phase currents and residuals, (n, 3) each, and the PWM frequency of each row, (n,); None where unknown."""
+
+    current_a: RealArray
+    residual_v: RealArray
+    pwm_hz: RealArray | None
+
+
+def _phases_of(step: DiagnosisStep) -> _PhaseResidual:
+    driven = _is_driven(step)
     current = np.asarray(step.i_abc[driven], dtype=np.float64)
-    residual = 1e3 * with_zero_sequence(current, np.asarray(step.residual_abc_v[driven], dtype=np.float64))
+    residual = np.asarray(step.residual_abc_v[driven], dtype=np.float64)
+    put_back = hidden_sequence(step)
+    pwm_hz = None if step.pwm_frequency_hz is None else np.asarray(step.pwm_frequency_hz[driven], dtype=np.float64)
+    return _PhaseResidual(current, residual if put_back is None else residual + put_back, pwm_hz)
+
+
+def _is_driven(step: DiagnosisStep) -> NDArray[np.bool_]:
+    return np.array([stage != "gates_off" for stage in step.stage], dtype=bool)
+
+
+def _phases(shown: _PhaseResidual, top_mv: float) -> str:
+    figure, axes = new_figure()
+    current, residual = shown.current_a, 1e3 * shown.residual_v
     for phase, colour in enumerate(PHASES_ON_PAPER):
         axes.plot(current[:, phase], residual[:, phase], ".", color=colour, ms=2.5, alpha=0.25, rasterized=True)
     for phase, (name, colour) in enumerate(zip("abc", PHASES_ON_PAPER, strict=True)):
         at, middle = _medians(current[:, phase], residual[:, phase])
         axes.plot(at, middle, "-", color="white", lw=4.0)
         axes.plot(at, middle, "-", color=colour, lw=2.0, label=f"phase {name}")
+    for (pwm_hz, rows), mark in zip(_other_pwm_frequencies(shown).items(), "x+1234", strict=False):
+        of_all = current[rows].ravel(), residual[rows].ravel()
+        axes.plot(*of_all, mark, color=BLACK, ms=4, mew=0.8, label=f"PWM {quantity(pwm_hz, 'Hz')}")
     axes.axhline(0.0, color=GUIDE, lw=0.8)
     axes.set_ylim(-top_mv, top_mv)
     name_axes(axes, "current of the phase [A]", "residual of the phase [mV]")
-    legend_above(axes, 3)
+    legend_above(axes, 4)
     return uri(figure)
 
 
-def with_zero_sequence(i_abc: RealArray, residual_abc: RealArray) -> RealArray:
-    """The residual of each phase with the part put back that a star connection hides, shape (n, 3).
+def _other_pwm_frequencies(shown: _PhaseResidual) -> dict[float, NDArray[np.bool_]]:
+    """The rows of each PWM frequency but the usual one."""
+    if shown.pwm_hz is None or not len(shown.pwm_hz):
+        return {}
+    several, counts = np.unique(shown.pwm_hz, return_counts=True)
+    usual = several[counts.argmax()]
+    return {float(pwm_hz): shown.pwm_hz == pwm_hz for pwm_hz in several if pwm_hz != usual}
 
-    Three equal voltages cause no current: of errors f(i_a), f(i_b), f(i_c) only f(i_k) - mean f is seen. One
-    piecewise linear f for all phases is fitted to that, and its mean put back (a component-plus-residual
-    plot); where no such f is in the data, nothing changes.
+
+MIN_EXPLAINED_BY_ONE_CURVE: float = 0.5
+"""Part of the residual's square that one curve for all phases has to explain, for its mean to be put back."""
+
+
+def hidden_sequence(step: DiagnosisStep) -> RealArray | None:
+    """The voltage of each row that a star connection hides, (n, 1), of a residual that is one curve of each current.
+
+    Three equal voltages cause no current: of errors f(i_a), f(i_b), f(i_c) only f(i_k) - mean f is seen. One piecewise
+    linear f for all phases is fitted to that; its mean is the hidden part (a component-plus-residual plot). None where
+    such an f explains less than `MIN_EXPLAINED_BY_ONE_CURVE`: of anything else it is an artefact.
     """
+    driven = _is_driven(step)
+    i_abc = np.asarray(step.i_abc[driven], dtype=np.float64)
+    residual_abc = np.asarray(step.residual_abc_v[driven], dtype=np.float64)
     knots = _bins(i_abc)
     if len(i_abc) <= len(knots):
-        return residual_abc
+        return None
     hats = np.stack([np.interp(i_abc, knots, unit) for unit in np.eye(len(knots))], axis=-1)
     centred = hats - hats.mean(axis=1, keepdims=True)
     curve = np.linalg.lstsq(centred.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
-    return np.asarray(residual_abc + (hats @ curve).mean(axis=1, keepdims=True))
+    left = float(np.sum((residual_abc - centred @ curve) ** 2))
+    if left > (1.0 - MIN_EXPLAINED_BY_ONE_CURVE) * float(np.sum(residual_abc**2)):
+        return None
+    return np.asarray((hats @ curve).mean(axis=1, keepdims=True))
 
 
 def _bins(x: RealArray, count: int = 25) -> RealArray:
@@ -210,13 +280,13 @@ def loop_figure(before: FluxLoop | None, after: FluxLoop) -> str:
     rising = _rising(current)
     shown = [(after, MODEL, "this model")]
     if before is not None:
-        shown = [(before, BEFORE_COLOUR, "first model"), (after, MODEL, "with all effects")]
+        shown = [(before, BEFORE_COLOUR, "first model"), (after, MODEL, "this model")]
     for loop, colour, name in shown:
         apart = 1e3 * (loop.psi_measured - loop.psi_model)[:, which]
         apart = apart - apart.mean()
         below.plot(current[rising], apart[rising], ".", color=colour, ms=3.5, label=f"{name}: up")
         below.plot(current[~rising], apart[~rising], "o", color=colour, ms=3.0, mfc="none", mew=0.7, label="down")
-    name_axes(below, CURRENT_LABELS[axis], "difference [mWb]")
+    name_axes(below, CURRENT_LABELS[axis], "measured less\nmodel [mWb]")
     handles, names = below.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
@@ -244,13 +314,17 @@ def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentEx
         below.plot(time, measured - predicted, line, color=MODEL, lw=1.3)
     for excerpt, (_, _, line) in zip(before, styles, strict=False):
         measured, predicted = _ripples(excerpt)
-        below.plot(1e3 * excerpt.time_s, measured - predicted, line, color=BEFORE_COLOUR, lw=1.3, zorder=0)
+        name = f"model before, {excerpt.amplitude_v or 1.0:g} V"
+        below.plot(1e3 * excerpt.time_s, measured - predicted, line, color=BEFORE_COLOUR, lw=1.3, zorder=0, label=name)
     name_axes(above, "", "ripple of $i_d$ [mA/V]")
     handles, names = above.get_legend_handles_labels()
     # Columns are filled one after the other: the model's curves are the second.
     order = np.argsort([name.startswith("model") for name in names], kind="stable")
     legend_above(above, 2, [handles[k] for k in order], [names[k] for k in order])
-    name_axes(below, "time [ms]", "difference\n[mA/V]")
+    name_axes(below, "time [ms]", "measured less\nmodel [mA/V]")
+    if before:
+        figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=STYLE.small_pt, **_TIGHT,
+                      handles=below.get_legend_handles_labels()[0])  # fmt: skip
     return uri(figure)
 
 
@@ -273,18 +347,20 @@ def _two_panels() -> tuple[Figure, Axes, Axes]:
 def trapezoid_figure(excerpt: CurrentExcerpt, before: CurrentExcerpt | None) -> str:
     """Both currents of a sweep, measured and simulated from the voltage alone; below, what the simulation misses."""
     figure, above, below = _two_panels()
-    time = excerpt.time_s
-    for axis, colour in ((0, D_AXIS), (1, Q_AXIS)):
+    time, styles = excerpt.time_s, ((4.5, "-"), (1.8, "--"))  # where both currents are one, both are still seen
+    for axis, (colour, (width, line)) in enumerate(zip((D_AXIS, Q_AXIS), styles, strict=True)):
         name = f"$i_{'dq'[axis]}$"
-        above.plot(time, excerpt.measured_a[:, axis], "-", color=colour, lw=3.0, label=f"{name} measured")
-        above.plot(time, excerpt.predicted_a[:, axis], "--", color=BLACK, lw=1.0, label=None if axis else "simulated")
-        for shown, line_colour, width in ((before, BEFORE_COLOUR, 1.0), (excerpt, colour, 1.2)):
+        above.plot(time, excerpt.measured_a[:, axis], "-", color=colour, lw=width, label=f"{name} measured")
+        above.plot(time, excerpt.predicted_a[:, axis], ":", color=BLACK, lw=1.0, label=None if axis else "simulated")
+        for shown, line_colour, of in ((before, BEFORE_COLOUR, ", first model"), (excerpt, colour, "")):
             if shown is not None:
-                apart = 1e3 * (shown.predicted_a - shown.measured_a)[:, axis]
-                below.plot(time, apart, ("-", ":")[axis], color=line_colour, lw=width)
+                apart = 1e3 * (shown.measured_a - shown.predicted_a)[:, axis]
+                below.plot(time, apart, line, color=line_colour, lw=1.2, label=f"{name}{of}")
     name_axes(above, "", "current [A]")
     legend_above(above, 3)
-    name_axes(below, "time [s]", "simulated less\nmeasured [mA]")
+    name_axes(below, "time [s]", "measured less\nsimulated [mA]")
+    handles, names = below.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
 
 
@@ -303,6 +379,11 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
     name_axes(axes, "heat put into the winding [kJ]", r"$R_s$ [$\Omega$]")
     legend_above(axes, 3)
     return uri(figure)
+
+
+def _not_added(entry: JointEntry) -> str:
+    bound = joint_bound(entry)
+    return f"not added;\n  {bound}" if bound else "not added"
 
 
 def joint_figure(joint: Sequence[JointEntry], added: Collection[str]) -> str:
@@ -326,7 +407,7 @@ def joint_figure(joint: Sequence[JointEntry], added: Collection[str]) -> str:
             color=MODEL if is_added else "none",
             edgecolor=MODEL if is_added else GUIDE,
         )
-        mark = "added" if is_added else "not added" if size >= SURE_Z else ""
+        mark = "added" if is_added else _not_added(entry) if size >= SURE_Z else ""
         axes.text(size, place, f"  {mark}", va="center", fontsize=STYLE.small_pt - 1)
     axes.axvline(SURE_Z, color=GUIDE, lw=1.2, ls="--")
     axes.set_xscale("log")

@@ -6,6 +6,8 @@ import base64
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from orchestrator.formatting.events import step_error_v
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, quantity, vector
@@ -14,13 +16,23 @@ from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._content import Picture
 from protocols import CurrentExcerpt, DiagnosisReport, DiagnosisStep
 
+SAME_RESISTANCE_RATIO: float = 0.005
+"""Change of R_s between two models below which it hides nothing that a picture shows."""
+
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
     from orchestrator.discovery import Discovery
 
 
-def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
-    """The ladder first, then what the residual looks like, then the waveforms behind it."""
+SIGN = "Residual: the recording's voltage less the model's, v − (R_s i + dψ/dt)."
+"""The sign of every picture of a residual; differences of currents and fluxes are measured less model, too."""
+
+
+def diagnosis_pictures(diagnosis: SavedDiagnosis, present: DiagnosisStep | None = None) -> Iterator[Picture]:
+    """The ladder first, then what the residual looks like, then the waveforms behind it.
+
+    With `present`, the step of a model that was changed since, the pictures after are of that one.
+    """
     ladder, floor = diagnosis.report.ladder, diagnosis.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
@@ -31,27 +43,27 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
     if diagnosis.report.joint:
         yield _library(diagnosis.report)
     if diagnosis.steps:
-        before, after = diagnosis.steps[0], diagnosis.steps[-1]
-        yield from _residuals(before, after)
-        yield from _waveforms(before, after)
+        yield from step_pictures(diagnosis.steps[0], present or diagnosis.steps[-1])
 
 
-def bare_pictures(step: DiagnosisStep) -> Iterator[Picture]:
-    """What the residual of one model looks like, and the waveforms behind it."""
-    yield from _residuals(step, step)
-    yield from _waveforms(step, step)
+def step_pictures(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
+    """What the residual of a model looks like, or of two, and the waveforms behind it."""
+    yield from _residuals(before, after)
+    yield from _waveforms(before, after)
 
 
 def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
+    whole = f"All {len(order)} effects fitted at once"
+    drawn = f"; drawn are those added and then the surest, {most} in all" if len(order) > most else ""
     caption = (
-        f"All effects fitted at once. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. "
-        "Filled: added to the model; beside these, adding another one improves the fit too little. The table of what "
-        "was left out states how large such an effect may be at most."
+        f"{whole}{drawn}. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. Filled: added "
+        "to the model. What is detected and was not added improves the fit too little; how large it may be at most "
+        "(95 %, beside what was added) stands at its bar."
     )
-    return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
+    return Picture("The library, fitted together", caption, figures.joint_figure(order[:most], shares))
 
 
 def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
@@ -74,21 +86,73 @@ def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
     gain = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
-    first, last = figures.plane_figures(before, after)
+    panels = figures.plane_figures(before, after)
     yield Picture(
         "Residual on the current plane",
-        f"Both on one scale: rms in each cell as colour, mean as arrow.{gain}",
-        first,
-        "" if before is after else last,
+        f"{SIGN} rms in each cell as colour, mean as arrow.{gain}",
+        panels.before,
+        panels.after,
+        panels.enlarged,
     )
-    first, last = figures.phase_figures(before, after)
+    panels = figures.phase_figures(before, after)
+    texts = [
+        SIGN,
+        "The three phases over each other, with their medians.",
+        _put_back(before, after),
+        _pwm(after),
+        _hidden_in_resistance(before, after),
+    ]
     yield Picture(
         "Residual against each phase's own current",
-        "The phases over each other, with medians; what a star connection hides (the zero sequence) is put back by "
-        "one curve for all three. Where they fall together on one odd curve, the inverter is at fault.",
-        first,
-        "" if before is after else last,
+        " ".join(filter(None, texts)),
+        panels.before,
+        panels.after,
+        panels.enlarged,
     )
+
+
+def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
+    """What was done about the zero sequence, and what one common curve means."""
+    steps = {"before": before} if before is after else {"before": before, "after": after}
+    is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
+    meaning = "Where the phases fall together on one odd curve, the inverter is at fault."
+    hidden = "the zero sequence, which a star connection hides,"
+    if not any(is_one_curve.values()):
+        return f"No one curve explains half of the residual: {hidden} is not drawn. {meaning}"
+    where = "" if len(set(is_one_curve.values())) == 1 else " before" if is_one_curve["before"] else " after"
+    return f"One curve for all three explains most of the residual{where}: {hidden} is put back by it there. {meaning}"
+
+
+def _pwm(step: DiagnosisStep) -> str:
+    """The PWM frequencies of the recording, in words."""
+    if step.pwm_frequency_hz is None or not len(step.pwm_frequency_hz):
+        return ""
+    every = np.unique(step.pwm_frequency_hz)
+    if len(every) == 1:
+        return f"PWM frequency: {quantity(float(every[0]), 'Hz')}."
+    usual = every[np.argmax([np.count_nonzero(step.pwm_frequency_hz == one) for one in every])]
+    others = listed([quantity(float(one), "Hz") for one in every if one != usual])
+    return f"PWM at {quantity(float(usual), 'Hz')}, black marks at {others}: what is lost at each edge grows with it."
+
+
+def _hidden_in_resistance(before: DiagnosisStep, after: DiagnosisStep) -> str:
+    """What R_s, which is fitted too, takes of a residual along the current."""
+    fitted = [_resistance_ohm(step) for step in (before, after)]
+    tilt = "a step less that line is a sawtooth."
+    if fitted[0] is None or fitted[1] is None:
+        return ""
+    if before is after:
+        return f"R_s, here {quantity(fitted[0], 'ohm', 4)}, is fitted and takes what grows like R i: {tilt}"
+    if abs(fitted[0] / fitted[1] - 1.0) < SAME_RESISTANCE_RATIO:
+        return ""
+    first, last, more = (quantity(one, "ohm", 4) for one in (*fitted, fitted[0] - fitted[1]))
+    return f"The model before has R_s {first}, the one after {last}. Before, {more} times i is missing: {tilt}"
+
+
+def _resistance_ohm(step: DiagnosisStep) -> float | None:
+    """The model's R_s where the winding is coldest."""
+    course = step.resistance
+    return None if course is None or not len(course.heat_j) else float(course.model_ohm[np.argmin(course.heat_j)])
 
 
 def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
@@ -115,7 +179,12 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
 
 def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
     at = vector(shown[0].i_d_a, shown[0].i_q_a)
-    amplitudes = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
+    amplitudes = (
+        "One amplitude was injected."
+        if len(shown) == 1
+        else "Two amplitudes part where something is not proportional to them: iron with memory, and the step of an "
+        "inverter's dead time or device drop, where the ripple crosses zero current."
+    )
     return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {amplitudes} Below: measured less model."
 
 

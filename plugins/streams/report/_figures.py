@@ -63,8 +63,7 @@ def flux_figure(maps: dict[str, FluxMap], axis: str, reached: RealArray | None =
     """
     figure, axes = new_figure()
     other = "q" if axis == "d" else "d"
-    held = held_currents(maps.values(), other, reached)
-    line = BASIS_LINES.get(next(iter(maps.values())).basis, ":")
+    held, lines = held_currents(maps.values(), other, reached), _lines_of(maps)
     for value, colour in zip(held, _colours_of(held), strict=True):
         for grid in maps.values():
             current, flux, std = profile(grid, f"psi_{axis}", axis, value)
@@ -72,10 +71,23 @@ def flux_figure(maps: dict[str, FluxMap], axis: str, reached: RealArray | None =
             axes.plot(current, flux, BASIS_LINES.get(grid.basis, ":"), color=colour, lw=1.5)
             if grid.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
-        axes.plot([], [], line, color=colour, label=_amperes(value, held))
+        axes.plot(
+            [], [], "-" if len(lines) > 1 else next(iter(lines.values())), color=colour, label=_amperes(value, held)
+        )
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
     axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=STYLE.small_pt, title_fontsize=STYLE.small_pt)
+    if len(lines) > 1:
+        shown = [axes.plot([], [], line, color=GUIDE, lw=1.5, label=method)[0] for method, line in lines.items()]
+        figure.legend(handles=shown, loc="outside upper center", ncols=2, frameon=False, fontsize=STYLE.small_pt)
     return uri(figure)
+
+
+def _lines_of(maps: dict[str, FluxMap]) -> dict[str, str]:
+    """The line style of each method; those that share a style have one entry."""
+    named: dict[str, list[str]] = {}
+    for method, grid in maps.items():
+        named.setdefault(BASIS_LINES.get(grid.basis, ":"), []).append(method)
+    return {", ".join(methods): line for line, methods in named.items()}
 
 
 def difference_figure(classical: FluxMap, injection: FluxMap) -> str:

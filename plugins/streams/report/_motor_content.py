@@ -71,7 +71,7 @@ def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
 def _of_map(grid: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:
     l_d, l_q = (_at(grid, getattr(grid, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
     if l_d is not None and l_q is not None:
-        yield Line("L_d, L_q at no current", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
+        yield Line("L_dd, L_qq at no current", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}, incremental (∂ψ/∂i)")
     if magnet is not None:
         measured = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
         nameplate = "" if motor.pm_flux_wb is None else f"; nameplate {quantity(motor.pm_flux_wb, 'Wb', 4)}"
@@ -84,13 +84,30 @@ def _of_map(grid: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> 
         return
     saturated = [_at(grid, getattr(grid, name), 0.0, rated_a) for name in ("l_dd", "l_qq")]
     if saturated[0] is not None and saturated[1] is not None:
-        yield Line("L_d, L_q at rated i_q", f"{quantity(saturated[0], 'H', 4)}, {quantity(saturated[1], 'H', 4)}")
+        sizes = ", ".join(quantity(one, "H", 4) for one in saturated)
+        yield Line("L_dd, L_qq at rated i_q", f"{sizes}, incremental (∂ψ/∂i)")
+    yield from _apparent(grid, rated_a)
     yield from _torque(grid, motor, rated_a)
     ratios = saliency(grid).ratio
     at_rest, loaded = _at(grid, ratios, 0.0, 0.0), _at(grid, ratios, 0.0, rated_a)
     parts = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
     if parts:
         yield Line("Saliency", f"{', '.join(parts)} (largest over smallest inductance)")
+
+
+def _apparent(grid: FluxMap, rated_a: float) -> Iterator[Line]:
+    """The chords of the map, as a flux observer and a torque equation with constant inductances use them."""
+    parts = []
+    for axis, i_dq in (("d", (-rated_a, 0.0)), ("q", (0.0, rated_a))):
+        table = getattr(grid, f"psi_{axis}")
+        flux, at_rest = _at(grid, table, *i_dq), _at(grid, table, 0.0, 0.0)
+        if flux is not None and at_rest is not None:
+            current = sum(i_dq)
+            parts.append(
+                f"L_{axis} {quantity((flux - at_rest) / current, 'H', 4)} at i_{axis} = {quantity(current, 'A')}"
+            )
+    if parts:
+        yield Line("Apparent", f"{', '.join(parts)} ((ψ − ψ(0, 0)) / i)")
 
 
 def _torque(grid: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:

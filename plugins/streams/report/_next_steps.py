@@ -13,7 +13,7 @@ from orchestrator.formatting.quantities import duration, operating_point, predic
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
-from plugins.streams.report._content import Line, typed
+from plugins.streams.report._content import Line, is_estimated, typed
 from protocols import DriveRecord, FoundEffect, PluginError, Usability, is_compensable
 
 
@@ -39,6 +39,8 @@ def _about_map(material: Material) -> str:
     if report.usability is Usability.NOT_JUDGED:
         return f"not judged: `fluxbench diagnose {run}` decides whether it is usable."
     why = next((typographic(remark.text) for remark in report.remarks), "none could be made")
+    if not is_estimated(material):
+        return f"that of model.json is not to be relied on: {why}. `fluxbench estimate {run}` makes the estimators’."
     return f"do not rely on it: {why}."
 
 

@@ -23,7 +23,7 @@ from plugins.streams.report import _figures as figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
-from plugins.streams.report._diagnosis_pictures import bare_pictures, diagnosis_pictures, learned_pictures
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures, step_pictures
 from plugins.streams.report._drive_content import drive_section
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
@@ -156,7 +156,10 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
-        "pictures": [*diagnosis_pictures(diagnosis), *learned_pictures(material.discovery)] if draws else [],
+        "present": "" if material.present is None else findings.step_errors(material.present),
+        "pictures": (
+            [*diagnosis_pictures(diagnosis, material.present), *learned_pictures(material.discovery)] if draws else []
+        ),
         "ladder": findings.ladder_rows(diagnosis, material.discovery, material.model_changes),
         "effects": findings.effect_rows(diagnosis),
         "alike": findings.alike_rows(diagnosis),
@@ -168,19 +171,34 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
 
 
 def _bare(material: Material) -> dict[str, Any] | None:
-    """Where the bare model fails, in numbers and pictures; None where that was not computed."""
+    """Where the bare model fails, and `model.json` after it, in numbers and pictures; None where not computed."""
     if material.bare is None:
         return None
     return {
-        "errors": findings.bare_errors(material.bare),
-        "left_out": listed([plain(name) for name in material.modelled]),
-        "pictures": list(bare_pictures(material.bare)),
+        "errors": findings.step_errors(material.bare),
+        "present": "" if material.present is None else findings.step_errors(material.present),
+        "modelled": listed([plain(name) for name in material.modelled]),
+        "pictures": list(step_pictures(material.bare, material.present or material.bare)),
         "effects": findings.signature_rows(),
     }
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _paths_picture(material)
+    if not material.maps and not content.is_estimated(material):
+        if material.readings:
+            yield _resistance_picture(material)
+        title = f"{'F' if material.readings else 'R_s, f'}luxes and inductances"
+        yield Picture(title, f"Not drawn: {content.why_no_map(material)}.")
+    else:
+        yield from _estimated_pictures(material, main)
+    if len(material.paths.temperature_c) > 1:
+        text = "Mean of each segment of direct current, as recorded."
+        yield Picture("Temperature over the run", text, figures.temperature_figure(material.paths.temperature_c))
+
+
+def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
+    """R_s, fluxes and inductances; each says for itself why it is not drawn."""
     yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
@@ -204,9 +222,6 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
             yield Picture(title, text, figures.inductance_figure(main, name))
     if main is not None and np.isfinite(main.psi_d).any():
         yield from _plane_pictures(main, content.motor_of(material))
-    if len(material.paths.temperature_c) > 1:
-        text = "Mean of each segment of direct current, as recorded."
-        yield Picture("Temperature over the run", text, figures.temperature_figure(material.paths.temperature_c))
 
 
 def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:

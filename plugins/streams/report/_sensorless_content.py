@@ -54,7 +54,21 @@ def note(material: Material) -> str:
         f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}{_within_rated(material, worst)}; with that turn "
         f"taken from the map, up to {_degrees(left)} is left."
     )
-    return f"{first} {second}"
+    return " ".join(filter(None, (first, second, _beside_tuning(material))))
+
+
+def _beside_tuning(material: Material) -> str:
+    """Why the tuning has other figures for the same two errors; empty where there is none."""
+    tuning = material.tuning
+    if tuning is None or tuning.injection_error_deg is None:
+        return ""
+    left = tuning.injection_left_by_map_deg
+    corrected = "" if left is None else f", {number(left, 3)}° corrected by the map"
+    figures, limit = f"{number(tuning.injection_error_deg, 3)}°{corrected}", quantity(tuning.current_limit_a, "A")
+    return (
+        f"The section on the drive has other figures ({figures}): they are over all currents within its limit of "
+        f"{limit}, interpolated between these points."
+    )
 
 
 def _ripples(material: Material) -> tuple[SeenByInjection, ...]:

@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
+from orchestrator.recording import has_model
 from plugins.streams.report._collect import is_worth_a_report
 from plugins.streams.report._page import write_report
 from protocols import Message, NoOptions, RunEnded, StreamSetup
@@ -30,4 +31,5 @@ class ReportStream:
     def close(self) -> None:
         """Write the page, where there is anything to report; that of a run that was stopped without its pictures."""
         if is_worth_a_report(self._run):
-            write_report(self._run, draws=not self._is_stopped)
+            # Only `add` and `remove` leave a model without its diagnosis: where that one fails is what to look at next.
+            write_report(self._run, draws=not self._is_stopped, compares=has_model(self._run))

@@ -170,10 +170,16 @@ class Diagnosis:
 
     def _compared(self, message: Compared) -> list[Entry]:
         rows = [
-            (plain(s.stage), quantity(s.rms_v, "V"), quantity(s.noise_rms_v, "V"), number(s.chi2, 3))
+            (
+                plain(s.stage),
+                quantity(s.pwm_frequency_hz, "Hz"),
+                quantity(s.rms_v, "V"),
+                quantity(s.noise_rms_v, "V"),
+                number(s.chi2, 3),
+            )
             for s in message.report.stages
         ]
-        head = ("stage", "residual, rms", "noise floor", "χ² per degree of freedom")
+        head = ("stage", "PWM", "residual, rms", "noise floor", "χ² per degree of freedom")
         return self._text_page("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
 
     def _text_page(self, part: str, text: str) -> list[Entry]:

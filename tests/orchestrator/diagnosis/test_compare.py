@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import bare_model_step, compare_recording
+from orchestrator.diagnosis import bare_model_step, compare_recording, model_step
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeviceDrop
 from protocols import MotorModel, RecordingError
@@ -54,6 +54,16 @@ def test_the_step_of_the_bare_model_has_no_effect_and_the_error_of_the_compariso
     assert step.rms_v > 2.0 * step.noise_rms_v
 
 
+def test_each_pwm_frequency_of_a_stage_has_a_row_of_its_own(at_two_pwm_frequencies: Recording, tmp_path: Path) -> None:
+    rows = compare_recording(at_two_pwm_frequencies, out=tmp_path).stages
+    of_holds = {row.pwm_frequency_hz: row.rms_v or 0.0 for row in rows if row.stage == "resistance"}
+    (low, usual), (high, twice) = sorted(of_holds.items())
+    assert high == 2.0 * (low or 0.0)
+    # What dead time loses is twice as much, of which the fitted R_s hides more at the usual frequency.
+    assert twice > 1.8 * usual
+    assert len({row.pwm_frequency_hz for row in rows if row.stage == "injection"}) == 1
+
+
 @pytest.mark.slow
 def test_a_linear_model_s_flux_wanders_from_what_the_sweeps_integrate(clean: Recording) -> None:
     linear, saturated = (compare_recording(clean, model=model).crossings for model in ("linear", "saturated"))
@@ -66,6 +76,9 @@ def test_the_model_that_lies_there_is_taken_as_it_is(with_dead_time: Recording, 
     assert report.model == "saturated + device_drop"
     assert report.chi2 == pytest.approx(read_model(kept).ladder[-1].chi2, rel=1e-9)
     assert [remark.code for remark in report.remarks] == ALWAYS
+    step = model_step(with_dead_time, read_model(kept), [DeviceDrop()])
+    assert (step.added, step.effects) == ("device_drop", ("device_drop",))
+    assert step.chi2 == pytest.approx(report.chi2, rel=1e-9)
 
 
 def test_a_model_of_another_recording_is_stated_to_be_one(clean: Recording, kept: Path) -> None:

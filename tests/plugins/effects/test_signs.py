@@ -10,6 +10,7 @@ import pytest
 
 from orchestrator.numerics.types import Array
 from plugins.effects.inverter import BusSag, DeadTime, DeviceDrop, VoltageBias
+from plugins.effects.iron import EddyCurrents
 from plugins.effects.resistance import (
     PhaseResistanceImbalance,
     ResistanceWithTemperature,
@@ -24,7 +25,7 @@ from plugins.effects.sensors import (
     ThirdCurrentSensor,
 )
 from plugins.effects.timing import CurrentFilter, VoltageDelay
-from protocols import LossHistory, RealArray, Signals
+from protocols import Effect, LossHistory, RealArray, Signals
 from tests.plugins.effects.readings import FS, corrected, readings, reads
 from tests.support.close import assert_close
 
@@ -44,6 +45,58 @@ def test_dead_time_opposes_the_current_and_grows_with_the_pwm_frequency() -> Non
         lost = signals.v_ab - corrected(DeadTime(), signals, voltage_v=8.0, threshold_a=0.01).v_ab
         # At the start i_a > 0 > i_b = i_c: the vector is 4/3 V along a.
         assert lost[0, 0] == pytest.approx(4.0 / 3.0 * volts, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "sign"),
+    [
+        (DeadTime(), {"voltage_v": 8.0}, 1.0),
+        (DeviceDrop(), {"voltage_v": 1.0}, 1.0),
+        (VoltageBias(), {"bias_a_v": 0.3, "bias_b_v": -0.15}, 1.0),
+        (BusSag(), {"per_watt": 1e-4}, 1.0),
+        (WindingHeating(), {"rise_per_watt": 1e-3}, 1.0),
+        (SkinEffect(), {"extra_ohm": 1.0}, 1.0),
+        (CurrentOffset(), {"offset_a_a": 0.1, "offset_b_a": -0.05}, -1.0),
+    ],
+    ids=lambda one: getattr(one, "name", ""),
+)
+def test_what_an_effect_leaves_has_the_sign_that_its_signature_states(
+    effect: Effect, values: dict[str, float], sign: float
+) -> None:
+    signals = readings()
+    true = corrected(effect, signals, **values)
+    # Residual v - R i of what was read, where v - R i of what was corrected is zero but for the flux.
+    left = (signals.v_ab - true.v_ab) - signals.resistance_ohm[:, None] * (signals.i_ab - true.i_ab)
+    left = left + (true.resistance_ohm - signals.resistance_ohm)[:, None] * true.i_ab
+    along = left[:, 0] * (np.ones(400) if "constant" in effect.signature else signals.i_ab[:, 0])
+    assert sign * np.mean(along) > 0.0
+    assert ("minus" in effect.signature) == (sign < 0.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "words", "sign"),
+    [
+        (VoltageDelay(), {"delay_s": 2e-5}, "against the slope", -1.0),
+        (CurrentFilter(), {"time_constant_s": 2e-5}, "against the slope", -1.0),
+        (EddyCurrents(), {"core_loss_ohm": 500.0}, "sign of its slope", 1.0),
+    ],
+    ids=lambda one: getattr(one, "name", ""),
+)
+def test_measured_less_modelled_ripple_goes_with_the_slope_or_against_it_as_the_signature_states(
+    effect: Effect, values: dict[str, float], words: str, sign: float
+) -> None:
+    assert words in effect.signature
+    n, inductance_h = 400, 0.043
+    v = np.where(np.arange(n) % 20 < 10, 40.0, -40.0)[:, None] * np.array([1.0, 0.0])
+    i = np.cumsum(v, axis=0) / (inductance_h * FS)
+    signals = replace(readings(n), v_ab=v, i_ab=i - i.mean(axis=0), resistance_ohm=np.zeros(n))
+    correction = effect.correct(signals, effect.Parameters(**values))
+    true = signals.corrected(correction)
+    # A voltage that is not there moves the current by its integral; a current that is only read, by itself.
+    of_voltage = np.cumsum(true.v_ab - signals.v_ab, axis=0) / (inductance_h * FS)
+    magnetising = true.i_ab if correction.i_m_ab is None else correction.i_m_ab
+    apart = (of_voltage + signals.i_ab - magnetising)[20:-20, 0]
+    assert sign * np.mean((apart - apart.mean()) * v[20:-20, 0]) > 0.0
 
 
 def test_voltage_bias_is_subtracted() -> None:

@@ -53,6 +53,7 @@ from protocols import (
     StorageError,
     StreamSetup,
 )
+from tests.orchestrator.tuning.test_words import a_report as a_tuning
 from tests.plugins.streams.example_run import a_map, a_report, a_run_directory
 from tests.plugins.streams.report.example_diagnosis import some_steps
 from tests.support.cases import few
@@ -215,7 +216,7 @@ def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) ->
     page = page_of(run)
     assert len(page.all("img")) == 2  # the paths, and R_s from the journal
     assert f"Flux map not estimated yet: fluxbench estimate {run.name}" in page.text
-    assert page.text.count(f"Not drawn: not estimated yet: fluxbench estimate {run.name}") == 6
+    assert page.text.count(f"Not drawn: not estimated yet: fluxbench estimate {run.name}") == 1
     assert f"No flux map: not estimated yet: fluxbench estimate {run.name}" in page.text
     assert "not measured" not in page.text.lower()
     assert f"fluxbench report {run.name} draws where it fails" in page.text
@@ -418,6 +419,25 @@ def test_the_legend_of_held_currents_has_the_line_of_the_first_map(monkeypatch: 
         assert [text.get_text() for text in legend.get_texts()] == ["−2.9 A", "−1.45 A", "0 A", "+1.45 A", "+2.9 A"]
 
 
+def test_the_legend_of_several_maps_names_each_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(_figures, "uri", figures.append)
+    bases = {
+        "model": Basis.ENERGY,
+        "injection": Basis.INJECTION,
+        "energy": Basis.ENERGY,
+        "classical": Basis.INTEGRATION,
+    }
+    maps = {name: a_map("map").model_copy(update={"basis": basis}) for name, basis in bases.items()}
+    flux_figure(maps, "d", np.array([-2.9, -1.45, 1.45, 2.9]))
+    (legend,) = figures[-1].legends
+    assert [handle.get_linestyle() for handle in legend.get_lines()] == [":", "-", "--"]
+    assert [text.get_text() for text in legend.get_texts()] == ["model, energy", "injection", "classical"]
+    held = figures[-1].axes[0].get_legend()
+    assert held is not None
+    assert [handle.get_linestyle() for handle in held.get_lines()] == ["-"] * 5
+
+
 @pytest.mark.usefixtures("without_figures")
 def test_the_caption_says_how_far_the_ripple_reaches_beyond_the_currents_that_were_held(finished: Path) -> None:
     material = collect(finished)
@@ -519,8 +539,10 @@ def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finishe
     material = replace(collect(finished, reads_paths=False), diagnosis=None)
     assert "Where the model fails" not in render(material, draws=False)
     page = Page(render(replace(material, bare=some_steps()[0]), draws=False))
-    added = render(replace(material, bare=some_steps()[0], modelled=("dead_time",)), draws=False)
-    assert "(model.json has dead time, which is left out here): error" in added
+    bare, present = some_steps()
+    added = Page(render(replace(material, bare=bare, present=present, modelled=("dead_time",)), draws=False)).text
+    assert "Before: R_s and a saturated map alone" in added
+    assert "After: model.json as it is now, with dead time: error 4.1 mV rms" in added
     assert "Where the model fails R_s and a saturated map alone, without any effect: error " in page.text
     assert "Residual against each phase's own current" in page.text
     assert (
@@ -528,6 +550,15 @@ def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finishe
         in page.text
     )
     assert "draws where it fails" not in page.text
+
+
+def test_of_two_figures_for_one_error_the_page_says_why_they_differ(finished: Path) -> None:
+    estimates = a_report().model_copy(update={"seen_by_injection": (SEEN,)})
+    material = replace(collect(finished, reads_paths=False), estimates=estimates)
+    assert "section on the drive" not in sensorless.note(material)
+    beside = sensorless.note(replace(material, tuning=a_tuning(current_limit_a=2.35, injection_error_deg=23.5)))
+    assert "other figures (23.5°, 0.295° corrected by the map)" in beside
+    assert "over all currents within its limit of 2.35 A" in beside
 
 
 @pytest.mark.slow

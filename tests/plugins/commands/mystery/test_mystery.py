@@ -80,7 +80,11 @@ def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[s
 
 def test_a_hidden_effect_is_revealed_in_the_words_of_the_report(capsys: pytest.CaptureFixture[str]) -> None:
     _print_hidden({"skin_effect": {"extra_ohm": 2.72}, "voltage_bias": {"bias_a_v": 0.0521, "bias_b_v": -0.385}})
-    assert capsys.readouterr().out == "skin_effect: extra 2.72 Ω\nvoltage_bias: bias a 52.1 mV, bias b −385 mV\n"
+    first, second, note = capsys.readouterr().out.splitlines()
+    # The corner was not drawn: it is the plant's usual one.
+    assert first == "skin_effect: extra 2.72 Ω, corner 60 Hz*"
+    assert second == "voltage_bias: bias a 52.1 mV, bias b −385 mV"
+    assert "may lie outside the diagnosis' interval" in note
 
 
 def test_a_size_that_was_not_given_is_said_to_be_the_diagnosis_s(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,9 +15,9 @@ from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures, write_report
-from plugins.streams.report._diagnosis_figures import _rising, ladder_figure, plane_figures, with_zero_sequence
-from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
-from protocols import Reason
+from plugins.streams.report._diagnosis_figures import _rising, hidden_sequence, ladder_figure, plane_figures
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures, step_pictures
+from protocols import DiagnosisStep, Reason
 from tests.orchestrator.discovery.test_command import a_discovery
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.report.example_diagnosis import (
@@ -65,7 +65,7 @@ def test_the_slots_stand_first_in_print_characters(page: str) -> None:
 def test_every_picture_of_the_diagnosis_is_on_the_page(page: str) -> None:
     titles = [
         "The error ladder",
-        "The whole library, fitted together",
+        "The library, fitted together",
         "Residual on the current plane",
         "Residual against each phase",
         "Flux loop on d",
@@ -76,7 +76,7 @@ def test_every_picture_of_the_diagnosis_is_on_the_page(page: str) -> None:
     ]
     places = [page.index(f"<h3>{title}") for title in titles]
     assert places == sorted(places)
-    assert page.count("<img") == 12 + 11
+    assert page.count("<img") == 14 + 11
 
 
 @pytest.mark.slow
@@ -104,7 +104,7 @@ def test_a_damaged_diagnosis_is_named_and_the_rest_reported(tmp_path: Path) -> N
 @pytest.mark.usefixtures("undrawn")
 def test_without_steps_the_ladder_is_drawn_from_the_report() -> None:
     found = SavedDiagnosis(a_diagnosis(), WORDS, ())
-    assert [p.title for p in diagnosis_pictures(found)] == ["The error ladder", "The whole library, fitted together"]
+    assert [p.title for p in diagnosis_pictures(found)] == ["The error ladder", "The library, fitted together"]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -138,7 +138,13 @@ def test_the_library_begins_with_what_was_added_and_marks_what_was_detected_but_
     found = a_diagnosis().effects[0]
     effects = [found.model_copy(update={"name": name, "share": share}) for name, share in shares.items()]
     joint = [
-        {"name": "bus_sag", "relative_size": 0.01, "z": -5.1},
+        {
+            "name": "bus_sag",
+            "relative_size": 0.01,
+            "z": -5.1,
+            "parameter": "voltage_v",
+            "size": {"value": 1e-3, "low": 0.7e-3, "high": 1.3e-3, "unit": "V"},
+        },
         {"name": "winding_heating", "relative_size": 1.6, "z": 79.0},
         {"name": "hysteresis", "relative_size": 0.4, "z": 0.5},
         {"name": "dead_time", "relative_size": 0.6, "z": 44962.0},
@@ -147,7 +153,12 @@ def test_the_library_begins_with_what_was_added_and_marks_what_was_detected_but_
     axes = figures[-1].axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == ["dead time", "winding heating", "bus sag", "hysteresis"]
-    assert [text.get_text().strip() for text in axes.texts] == ["added", "added", "not added", ""]
+    assert [text.get_text().strip() for text in axes.texts] == [
+        "added",
+        "added",
+        "not added;\n  voltage at most 1.3 mV",
+        "",
+    ]
 
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
@@ -207,23 +218,74 @@ def test_numbers_that_are_missing_are_stated_to_be() -> None:
     assert findings.leftover_text(found) == ""
 
 
+def with_residual(residual_abc: np.ndarray, i_abc: np.ndarray) -> DiagnosisStep:
+    rows = {"i_abc": i_abc, "residual_abc_v": residual_abc, "stage": ("classical",) * len(i_abc)}
+    return some_steps()[0].model_copy(update=rows)
+
+
 def test_an_inverter_s_residual_falls_on_one_curve_once_the_zero_sequence_is_back() -> None:
     i_abc = np.random.default_rng(3).uniform(-3.0, 3.0, (3000, 2)) @ PHASES.T
     hidden = inverter_residual(i_abc)
     curve = 0.4 * np.tanh(i_abc / 0.05)
     far = np.abs(i_abc) > 0.3
     assert np.std((hidden - curve)[far]) > 0.1
-    apart = (with_zero_sequence(i_abc, hidden) - curve)[far]
+    put_back = hidden_sequence(with_residual(hidden, i_abc))
+    assert put_back is not None
     # A constant more or less cannot be seen; what is left is what the finite knots miss near zero.
-    assert np.std(apart) < 0.03
+    assert np.std((hidden + put_back - curve)[far]) < 0.03
 
 
-def test_what_is_no_inverter_s_doing_is_left_as_it_is() -> None:
+def test_what_is_no_inverter_s_doing_is_drawn_as_it_is() -> None:
     rng = np.random.default_rng(4)
     i_abc = rng.uniform(-3.0, 3.0, (3000, 2)) @ PHASES.T
     noise = rng.normal(0.0, 0.1, (3000, 2)) @ PHASES.T
-    assert np.std(with_zero_sequence(i_abc, noise) - noise) < 0.02
-    assert np.array_equal(with_zero_sequence(i_abc[:3], noise[:3]), noise[:3])
+    constant = np.broadcast_to([0.2, -0.05, -0.15], i_abc.shape)
+    assert hidden_sequence(with_residual(noise, i_abc)) is None
+    assert hidden_sequence(with_residual(constant + 0.1 * noise, i_abc)) is None
+    assert hidden_sequence(with_residual(noise[:3], i_abc[:3])) is None
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_pictures_after_are_drawn_enlarged_and_say_their_sign_and_what_r_s_took() -> None:
+    before, after = some_steps()
+    assert before.resistance is not None
+    course = before.resistance.model_copy(update={"model_ohm": 1.1 * before.resistance.model_ohm})
+    before = before.model_copy(update={"resistance": course})
+    pictures = {picture.title: picture for picture in step_pictures(before, after)}
+    plane = pictures["Residual on the current plane"]
+    phases = pictures["Residual against each phase's own current"]
+    for picture in (plane, phases):
+        assert picture.beside
+        assert picture.enlarged
+        assert picture.caption.startswith("Residual: the recording's voltage less the model's")
+    assert "The model before has R_s" in phases.caption
+    assert "is put back" in phases.caption
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_of_a_model_that_was_changed_since_the_diagnosis_the_pictures_are_the_present_ones() -> None:
+    after = some_steps()[-1]
+    present = after.model_copy(update={"effects": ("bus_sag",)})
+    captions = [picture.caption for picture in diagnosis_pictures(saved(), present)]
+    assert any("After: with bus sag" in caption for caption in captions)
+    assert not any("After: with dead time" in caption for caption in captions)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_phases_picture_says_at_which_pwm_frequencies_it_was_measured() -> None:
+    step = some_steps()[0]
+    rows = np.full(len(step.time_s), 1e4)
+    caption = figures_caption(step.model_copy(update={"pwm_frequency_hz": rows}))
+    assert "PWM frequency: 10 kHz." in caption
+    rows = np.where(np.arange(len(rows)) < 100, 2e4, rows)
+    caption = figures_caption(step.model_copy(update={"pwm_frequency_hz": rows}))
+    assert "PWM at 10 kHz, black marks at 20 kHz" in caption
+
+
+def figures_caption(step: DiagnosisStep) -> str:
+    return next(
+        picture.caption for picture in step_pictures(step, step) if picture.title.startswith("Residual against")
+    )
 
 
 def test_a_sweep_s_way_up_is_reported_from_its_way_down() -> None:
@@ -238,8 +300,9 @@ def test_a_sweep_s_way_up_is_reported_from_its_way_down() -> None:
 def test_a_plane_with_one_current_only_is_drawn() -> None:
     step = some_steps()[0]
     still = step.model_copy(update={"i_dq": np.zeros_like(step.i_dq)})
-    for picture in plane_figures(still, still):
-        assert picture.startswith("data:image/svg+xml")
+    panels = plane_figures(still, still)
+    assert panels.before.startswith("data:image/svg+xml")
+    assert panels.after == ""
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from orchestrator.flux_maps.exporting import mtpa, mtpv
+from orchestrator.formatting.quantities import quantity
+from orchestrator.numerics.tables import value_at
 from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
 from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines
@@ -68,7 +70,20 @@ def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Ma
     # Magnet alone, all of the current on q: reluctance adds a little to that, or nothing.
     magnet = 1.5 * motor.pole_pairs * motor.pm_flux_wb * motor.rated_current_a
     assert 0.95 * magnet < found < 1.3 * magnet
-    assert {"R_s", "L_d, L_q at no current", "Saliency", "ψ of the magnet"} <= set(lines(material))
+    assert {"R_s", "L_dd, L_qq at no current", "Saliency", "ψ of the magnet"} <= set(lines(material))
+
+
+def test_incremental_and_apparent_inductances_are_told_apart(material: Material) -> None:
+    shown = lines(material)
+    assert shown["L_dd, L_qq at rated i_q"].endswith("incremental (∂ψ/∂i)")
+    manifest = material.manifest
+    assert manifest is not None
+    rated_a = manifest.motor.rated_current_a
+    assert rated_a
+    grid = next(iter(material.maps.values()))
+    fluxes = (value_at((grid.i_d, grid.i_q), grid.psi_q, 0.0, i_q) for i_q in (0.0, rated_a))
+    at_rest, flux = (float(value) for value in fluxes if value is not None)
+    assert f"L_q {quantity((flux - at_rest) / rated_a, 'H', 4)} at i_q" in shown["Apparent"]
 
 
 def test_the_model_s_resistance_says_when_it_holds(material: Material) -> None:
