@@ -118,8 +118,8 @@ class EffectPhysicsChecks(ABC):
             if fit is not None:
                 return f"{name} is declared in {declared}, but scales like a quantity in {fit}: correct its unit"
         return (
-            "Either the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor. Or more "
-            f"than one unit is wrong (declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
+            "Either the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor. Or "
+            f"more than one unit is wrong (declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
         )
 
     def test_a_volt_is_a_volt(self) -> None:
@@ -192,10 +192,11 @@ class EffectPhysicsChecks(ABC):
         moved = {n: float(np.abs(other[n][:early] - x[:early]).max(initial=0.0)) for n, x in one.items() if n in other}
         seen = {n: change / _largest(one[n]) for n, change in moved.items()}
         late = {n: percent(100.0 * change) for n, change in seen.items() if change > 1e-9}
-        assert not late and one.keys() == other.keys(), (
-            f"samples after the middle of a segment change {listed(sorted(late)) or 'which signals it corrects'} before "
-            f"it{f', by up to {max(late.values())}' if late else ''}: does a sum or mean run over time instead of the "
-            "two axes (axis=1)? For an effect that knows the future, set looks_ahead = True in the test class"
+        assert one.keys() == other.keys(), "samples after the middle of a segment change which signals it corrects"
+        assert not late, (
+            f"samples after the middle of a segment change {listed(sorted(late))} before it, by up to "
+            f"{max(late.values())}: does a sum or mean run over time instead of the two axes (axis=1)? For an effect "
+            "that knows the future, set looks_ahead = True in the test class"
         )
 
     def test_answers_quickly(self) -> None:

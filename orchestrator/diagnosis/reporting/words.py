@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, needed_contrasts
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import number, operating_point, percent, quantity, value_and_interval
@@ -135,7 +135,7 @@ def _contrasts(diagnosis: Diagnosis, found: FoundEffect) -> list[Contrast]:
     """Contrasts that separate an effect from its alternatives."""
     effects = {c.name: c.effect for c in diagnosis.library}
     twins = [effects[name] for name in found.twins]
-    return list(dict.fromkeys(c for twin in twins for c in separating_contrasts(effects[found.name], twin)))
+    return list(dict.fromkeys(c for twin in twins for c in needed_contrasts(effects[found.name], twin)))
 
 
 def _cause(diagnosis: Diagnosis) -> str:
