@@ -47,7 +47,7 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
-from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
+from orchestrator.diagnosis.reporting.own_effects import contract_remarks, own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.reporting.resemblance import (
     alternative_remarks,
@@ -344,6 +344,7 @@ def _report(
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
+            *contract_remarks(last, every),
             *alternative_remarks(alternatives),
             *separated_remarks(refitted),
             *pair_remarks(pairs),

@@ -107,8 +107,19 @@ def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any
     """Growth of chi2 between the two effects when the stage is measured."""
     more = np.zeros_like(pair.known)
     for piece, weight in planned_pieces(setup, pair.model, stage):
-        more += weight * _normal(setup.fitter, pair, [piece], with_prior=False)
+        more += weight * _normal(_as_one_segment(setup.fitter, weight), pair, [piece], with_prior=False)
     return _remaining_chi2(pair.known + more, pair.coordinates) - _remaining_chi2(pair.known, pair.coordinates)
+
+
+def _as_one_segment(fitter: Fitter, weight: float) -> Fitter:
+    """The fitter whose model-error noise is common to the `weight` pieces of one segment, instead of each piece's own.
+
+    A segment's mean has the variance s^2 + n^2 / w of that noise s and the readings' noise n of a piece; w pieces of a
+    variance w s^2 + n^2 have the same information.
+    """
+    noise, factor = fitter.noise.of_model, math.sqrt(weight)
+    update = {name: factor * getattr(noise, name) for name in ("offset_scatter_a", "voltage_scatter_v")}
+    return fitter.with_noise(noise.model_copy(update=update))
 
 
 def _normal(

@@ -13,18 +13,17 @@ import numpy as np
 from orchestrator.formatting.quantities import percent
 from orchestrator.formatting.sentences import listed
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
-from protocols import Correction, Effect, EffectLayer, EffectParameter, ParameterRole, Signals, unit_powers
+from protocols import (
+    LAYER_CHANGES,
+    Correction,
+    Effect,
+    EffectLayer,
+    EffectParameter,
+    ParameterRole,
+    Signals,
+    unit_powers,
+)
 
-CHANGES: Mapping[EffectLayer, frozenset[str]] = {
-    EffectLayer.CURRENT_SENSORS: frozenset({"i_ab"}),
-    EffectLayer.DELAY: frozenset({"v_ab", "v_late_ab"}),
-    EffectLayer.BUS: frozenset({"v_dc", "v_ab"}),
-    EffectLayer.INVERTER: frozenset({"v_ab"}),
-    EffectLayer.RESISTANCE: frozenset({"resistance_ohm", "v_ab"}),
-    EffectLayer.FRAME: frozenset({"theta_rad"}),
-    EffectLayer.IRON: frozenset({"i_m_ab", "v_ab"}),
-}
-"""What an effect of a layer can be about; the layers beyond it see what it has changed."""
 MAX_EVALUATION_S = 0.25
 """For a second of samples: a diagnosis evaluates an effect some thousand times."""
 CURRENT_SCALE = 4.0
@@ -70,10 +69,10 @@ class EffectPhysicsChecks(ABC):
 
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
-        others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - CHANGES[layer])
+        others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - LAYER_CHANGES[layer])
         assert not others, (
-            f"layer is {layer.name}, whose effects change {listed(sorted(CHANGES[layer]))} alone, but this one changes "
-            f"{listed(others)}: choose another layer, or leave these signals"
+            f"layer is {layer.name}, whose effects change {listed(sorted(LAYER_CHANGES[layer]))} alone, but this one "
+            f"changes {listed(others)}: choose another layer, or leave these signals"
         )
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
