@@ -114,8 +114,8 @@ def refitted_ties(
 
 
 def separated_remarks(refitted: Sequence[Alternative]) -> list[Remark]:
-    """A remark, ``separated``, for each pair that the search found indistinguishable and that a refit tells apart."""
-    text = "{effect} and {other} are told apart, by {sigmas:.2g} sigma: {fits}"
+    """A remark, ``separated``, for each pair that the search found indistinguishable and that a refit separates."""
+    text = "{effect} and {other} are separated, by {sigmas:.2g} sigma: {fits}"
     return [
         Remark.of(
             "separated",
@@ -204,7 +204,7 @@ def with_tied(
     alternatives: Sequence[Alternative],
     pairs: Sequence[tuple[str, str]],
 ) -> dict[str, list[str]]:
-    """The indistinguishable effects by name, with tied alternatives and pairs added, and without those told apart."""
+    """The indistinguishable effects by name, with tied alternatives and pairs added, and without those that a refit separated."""
     apart = {(one.name, one.other) for one in alternatives if not one.is_tied}
     tied = {
         name: [other for other in others if (name, other) not in apart] for name, others in indistinguishable.items()
