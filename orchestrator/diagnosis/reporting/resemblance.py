@@ -204,7 +204,7 @@ def with_tied(
     alternatives: Sequence[Alternative],
     pairs: Sequence[tuple[str, str]],
 ) -> dict[str, list[str]]:
-    """The indistinguishable effects by name, with tied alternatives and pairs added, and without those that a refit separated."""
+    """The indistinguishable effects by name, with tied alternatives and pairs added; less what a refit separates."""
     apart = {(one.name, one.other) for one in alternatives if not one.is_tied}
     tied = {
         name: [other for other in others if (name, other) not in apart] for name, others in indistinguishable.items()
