@@ -262,7 +262,10 @@ def _next(diagnosis: Diagnosis) -> str:
             return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
-        return experiment_to_decide(proposal)
+        named = [found for found in diagnosis.report.effects if found.name in proposal.separates]
+        angle = CONTRASTS[Contrast.SECOND_ANGLE].text
+        also = f"; {angle} would, too" if any(angle in _needed(diagnosis, found) for found in named) else ""
+        return f"{experiment_to_decide(proposal)}{also}"
     if inseparable := next((r for r in diagnosis.report.remarks if r.code == "not_separable"), None):
         return inseparable.text
     for found in diagnosis.report.effects:
