@@ -31,6 +31,7 @@ from protocols._drive import (
 from protocols._effects import (
     EFFECT_HOOKS,
     FORMER_HOOKS,
+    LAYER_CHANGES,
     PLAIN_UNITS,
     SCALED_UNITS,
     BatchEffect,
@@ -206,6 +207,7 @@ from protocols._verdict import Judgement, Reason, Verdict, VerdictLimits, Verdic
 __all__ = [
     "EFFECT_HOOKS",
     "FORMER_HOOKS",
+    "LAYER_CHANGES",
     "PLAIN_UNITS",
     "SCALED_UNITS",
     "About",

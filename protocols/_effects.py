@@ -35,6 +35,20 @@ class EffectLayer(IntEnum):
     IRON = 7
 
 
+LAYER_CHANGES: Mapping[EffectLayer, frozenset[str]] = MappingProxyType(
+    {
+        EffectLayer.CURRENT_SENSORS: frozenset({"i_ab"}),
+        EffectLayer.DELAY: frozenset({"v_ab", "v_late_ab"}),
+        EffectLayer.BUS: frozenset({"v_dc", "v_ab"}),
+        EffectLayer.INVERTER: frozenset({"v_ab"}),
+        EffectLayer.RESISTANCE: frozenset({"resistance_ohm", "v_ab"}),
+        EffectLayer.FRAME: frozenset({"theta_rad"}),
+        EffectLayer.IRON: frozenset({"i_m_ab", "v_ab"}),
+    }
+)
+"""What an effect of a layer can be about; the layers beyond it see what it has changed."""
+
+
 class Contrast(StrEnum):
     """Additional content of a recording that separates similar effects."""
 

@@ -169,8 +169,6 @@ class NextExperiment(Lenient):
     the size and of the noise. None where it cannot be predicted."""
     least_sigmas: Number = None
     """Separation from which two effects count as separated."""
-    is_repetition: bool = False
-    """Whether the recording holds such a stage already, which did not separate the two."""
 
 
 class Inseparable(Lenient):
@@ -178,8 +176,10 @@ class Inseparable(Lenient):
 
     separates: tuple[str, str]
     best_sigmas: float
-    """The best stage's predicted separation in standard deviations."""
+    """The best stage's predicted separation in standard deviations; of those that were not measured yet."""
     least_sigmas: float
+    reached_sigmas: Number = None
+    """Separation by the recording, where a stage that was to separate the two has been measured; else None."""
 
 
 class ManifestCorrection(Lenient):

@@ -20,6 +20,7 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
+from orchestrator.diagnosis.reporting.own_effects import contract_remarks
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
 from orchestrator.diagnosis.selection.contrasts import resembling
@@ -92,6 +93,7 @@ def compare_recording(
         title = baseline_of(model or "saturated").title
         fit = first_steps(setup, model or "saturated", library)[-1].fit
     alternatives: list[Alternative] = []
+    remarks += contract_remarks(fit, [library[name] for name in candidates])
     for name in candidates:
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))

@@ -47,14 +47,16 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
-from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
+from orchestrator.diagnosis.reporting.own_effects import contract_remarks, own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.reporting.resemblance import (
     alternative_remarks,
     inseparable_remark,
     own_alternatives,
     pair_remarks,
+    refitted_ties,
     resembling_pairs,
+    separated_remarks,
     with_tied,
 )
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_models
@@ -282,7 +284,8 @@ def _report(
     sizes = search.contributions or contributions(setup, first, last)
     alternatives = own_alternatives(setup, last, library)
     pairs = resembling_pairs(setup.fitter, last, [c.name for c in library if is_own(c.effect)])
-    tied = with_tied(search.indistinguishable, alternatives, pairs)
+    refitted = refitted_ties(setup, last, search.indistinguishable, library, alternatives)
+    tied = with_tied(search.indistinguishable, (*alternatives, *refitted), pairs)
     active = found_effects(setup.fitter, last, evidence, tied, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.below_materiality)
@@ -341,7 +344,9 @@ def _report(
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
+            *contract_remarks(last, every),
             *alternative_remarks(alternatives),
+            *separated_remarks(refitted),
             *pair_remarks(pairs),
             *own_effect_remarks(
                 setup.fitter, every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}

@@ -8,7 +8,8 @@ contrast that both effects declare as needed decides.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -16,11 +17,13 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS
-from orchestrator.diagnosis.selection.contrasts import holds, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import SAME_CURRENT, holds, needed_contrasts
 from orchestrator.diagnosis.selection.scoring import linear_view, score
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes, round_for_people
 from orchestrator.experiment_design.separation import ConfoundedPair, confounded_pair, separation
-from protocols import Contrast, Inseparable, Interval, NextExperiment
+from orchestrator.numerics.frames import to_dq
+from protocols import Contrast, Inseparable, Interval, NextExperiment, SegmentStage
 
 MAX_LENGTHENING: float = 3.0
 """Largest factor of the separation that longer readings of a stage are proposed for; they last its square as long."""
@@ -55,7 +58,9 @@ def next_experiment(
             return None
         return NextExperiment(stage=stage, separates=separates, minutes=round(minutes(stage), 2))
     least = math.sqrt(setup.prepared.criteria.design.least_separation)
-    rated = [(_sigmas(setup, pair, stage), stage) for stage in _candidates(setup, named[first], named[second])]
+    stages = _candidates(setup, named[first], named[second])
+    fresh = [stage for stage in stages if not is_measured(setup, stage)]
+    rated = [(_sigmas(setup, pair, stage), stage) for stage in fresh]
     sufficient = [(sigmas, stage) for sigmas, stage in rated if sigmas > least]
     if not sufficient:
         longer = [_lengthened(stage, least / sigmas) for sigmas, stage in rated if least < MAX_LENGTHENING * sigmas]
@@ -65,7 +70,9 @@ def next_experiment(
         if _needs_operator(setup, named[first], named[second]):
             return None
         best = max((sigmas for sigmas, _ in rated), default=0.0)
-        return Inseparable(separates=separates, best_sigmas=best, least_sigmas=least)
+        has_measured = len(fresh) < len(stages) and active in fit.model.active
+        reached = _reached_sigmas(setup, fit, pair) if has_measured else None
+        return Inseparable(separates=separates, best_sigmas=best, least_sigmas=least, reached_sigmas=reached)
     sigmas, stage = max(sufficient, key=lambda item: item[0] ** 2 / minutes(item[1]))
     return NextExperiment(
         stage=stage,
@@ -73,22 +80,39 @@ def next_experiment(
         minutes=round(minutes(stage), 2),
         sigmas=_interval(sigmas, _relative_std(fit, active)),
         least_sigmas=least,
-        is_repetition=is_repetition(setup, stage),
     )
 
 
-def is_repetition(setup: DiagnosisSetup, stage: Stage) -> bool:
-    """Whether the recording holds what the stage measures, whatever the readings' duration."""
+def is_measured(setup: DiagnosisSetup, stage: Stage) -> bool:
+    """Whether the recording holds a stage's points with its settings, for whatever time."""
+    pieces = [p for p in setup.prepared.pieces if p.stage is SegmentStage(stage["kind"])]
+    if "points_a" not in stage:
+        return bool(pieces)
+    means = np.array([to_dq(p.signals.i_ab, p.segment.rotor_angle_rad).mean(axis=0) for p in pieces])
+    names = {"pwm_frequencies_hz": "pwm_frequency_hz", "amplitudes_v": "amplitude_v"}
+    lists = {names[name]: stage[name] for name in names if name in stage}
+    single = {"frequency_hz": stage["frequency_hz"]} if "frequency_hz" in stage else {}
+    values = [dict(zip(lists, chosen, strict=True)) for chosen in product(*lists.values())]
+    return all(
+        any(
+            math.dist(mean, point) < SAME_CURRENT * setup.current_a and _has(piece, {**single, **settings})
+            for piece, mean in zip(pieces, means, strict=True)
+        )
+        for point in stage["points_a"]
+        for settings in values
+    )
 
-    def without_duration(of: Stage) -> Stage:
-        return {name: value for name, value in of.items() if name != "duration_s"}
 
-    bench = Bench.of(setup)
-    measures = {
-        contrast: any(without_duration(one) == without_duration(stage) for one in stages(bench))
-        for contrast, stages in STAGES.items()
-    }
-    return any(measures.values()) and all(holds(setup.prepared, c) for c, measured in measures.items() if measured)
+def _has(piece: SegmentData, settings: Mapping[str, float]) -> bool:
+    """Whether a segment was measured with these settings."""
+    of_segment = {**piece.segment.settings, "pwm_frequency_hz": piece.signals.pwm_frequency_hz}
+    return all(math.isclose(float(of_segment.get(name) or 0.0), x, rel_tol=0.01) for name, x in settings.items())
+
+
+def _reached_sigmas(setup: DiagnosisSetup, fit: Fit, pair: ConfoundedPair) -> float:
+    """Separation of the two effects by the recording: how much worse the second one fits in the first one's place."""
+    in_place = setup.fitter.fit(pair.model, fit.linearisation)
+    return math.sqrt(max(in_place.objective - fit.objective, 0.0) / max(fit.chi2_per_dof, 1.0))
 
 
 def _sigmas(setup: DiagnosisSetup, pair: ConfoundedPair, stage: Stage) -> float:
@@ -154,4 +178,4 @@ def _needs_operator(setup: DiagnosisSetup, first: CandidateEffect, second: Candi
 
 
 def _lacking(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> list[Contrast]:
-    return [c for c in separating_contrasts(first.effect, second.effect) if not holds(setup.prepared, c)]
+    return [c for c in needed_contrasts(first.effect, second.effect) if not holds(setup.prepared, c)]

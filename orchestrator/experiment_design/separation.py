@@ -23,7 +23,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
-from orchestrator.diagnosis.weak_form.batches import in_batches
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.segments import SegmentData, windows_of
 from orchestrator.experiment_design.machine import Machine, current_of
 from orchestrator.numerics.frames import to_ab
@@ -36,6 +36,8 @@ PLANNED_HOLD_S: float = 0.2
 """Length of a predicted hold [s]: the remainder is identical."""
 PLANNED_TURN_S: float = 0.1
 """Length of a predicted turn of an injected direction [s]."""
+COMMAND_ITERATIONS: int = 3
+"""Fixed-point iterations from a planned segment's voltage to its command: each leaves a few percent of the error."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +107,19 @@ def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any
     """Growth of chi2 between the two effects when the stage is measured."""
     more = np.zeros_like(pair.known)
     for piece, weight in planned_pieces(setup, pair.model, stage):
-        more += weight * _normal(setup.fitter, pair, [piece], with_prior=False)
+        more += weight * _normal(_as_one_segment(setup.fitter, weight), pair, [piece], with_prior=False)
     return _remaining_chi2(pair.known + more, pair.coordinates) - _remaining_chi2(pair.known, pair.coordinates)
+
+
+def _as_one_segment(fitter: Fitter, weight: float) -> Fitter:
+    """The fitter whose model-error noise is common to the `weight` pieces of one segment, instead of each piece's own.
+
+    A segment's mean has the variance s^2 + n^2 / w of that noise s and the readings' noise n of a piece; w pieces of a
+    variance w s^2 + n^2 have the same information.
+    """
+    noise, factor = fitter.noise.of_model, math.sqrt(weight)
+    update = {name: factor * getattr(noise, name) for name in ("offset_scatter_a", "voltage_scatter_v")}
+    return fitter.with_noise(noise.model_copy(update=update))
 
 
 def _normal(
@@ -176,7 +189,30 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
                 current, voltage = swinging[:-1], machine.voltage(swinging, fs)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
                 planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
-    return [(piece, weight) for piece, weight in planned if piece is not None]
+    found = [(piece, weight) for piece, weight in planned if piece is not None]
+    if kind is SegmentStage.GATES_OFF or not found:
+        return found
+    commanded = _as_commanded(setup.fitter, model, [piece for piece, _ in found])
+    return [(piece, weight) for piece, (_, weight) in zip(commanded, found, strict=True)]
+
+
+def _as_commanded(fitter: Fitter, model: Model, pieces: Sequence[SegmentData]) -> list[SegmentData]:
+    """Segments whose voltage at the terminals is given, with the commands that the drive would log instead.
+
+    A command is what the model's effects correct to that voltage, the winding's change of resistance included. Two
+    effects that act alike on the recording would seem to differ wherever a plan lacks the losses that both see there.
+    """
+    equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb)
+    given = np.concatenate([piece.signals.v_ab for piece in pieces])
+    for _ in range(COMMAND_ITERATIONS):
+        corrected = equations.relinearise(model, SegmentBatch.of(pieces), None).cascade.corrected
+        warmed = (corrected.resistance_ohm - model.r_s)[:, None] * corrected.i_ab
+        missing = np.split(given + warmed - corrected.v_ab, corrected.starts[1:-1])
+        pieces = [
+            replace(piece, signals=replace(piece.signals, v_ab=piece.signals.v_ab + more))
+            for piece, more in zip(pieces, missing, strict=True)
+        ]
+    return list(pieces)
 
 
 def _piece(

@@ -246,13 +246,9 @@ def _minus(text: str) -> str:
 
 
 def predicted_separation(proposal: NextExperiment) -> str:
-    """How far a proposed stage separates two effects, as the rest of a sentence; empty where it is not predicted.
-
-    A stage that the recording holds already is marked as a repetition.
-    """
+    """How far a proposed stage separates two effects, as the rest of a sentence; empty where it is not predicted."""
     if proposal.sigmas is None:
         return ""
-    again = "; measured already, and did not separate them: this is more of the same" if proposal.is_repetition else ""
     value, low, high = (number(x, 2) for x in (proposal.sigmas.value, proposal.sigmas.low, proposal.sigmas.high))
     least = "" if proposal.least_sigmas is None else f"; {number(proposal.least_sigmas, 2)} are enough"
-    return f": by {value} sigma at the size found (95 %: {low} to {high}{least}){again}"
+    return f": by {value} sigma at the size found (95 %: {low} to {high}{least})"

@@ -23,7 +23,7 @@ from pydantic import BaseModel, ValidationError
 from orchestrator.extras import how_to_install, missing_extra
 from orchestrator.registry.entry_points import entries_of
 from orchestrator.registry.plugin_methods import hook_problem, method_problem
-from orchestrator.validation.messages import first_problem, suggestion
+from orchestrator.validation.messages import first_problem, nearest, suggestion
 from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stage, Stream, Strict
 
 
@@ -238,7 +238,13 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
 
 
 def _reason(error: BaseException) -> str:
-    """One line; the project's own errors unchanged."""
+    """One line; the project's own errors unchanged, and the names of a set of names where one is not among them."""
+    known = getattr(error, "obj", None)
+    if isinstance(error, AttributeError) and isinstance(known, type) and issubclass(known, Enum):
+        members = [member.name for member in known]
+        near = nearest(str(error.name), members)
+        hint = f"; did you mean {near}?" if near is not None else ";"
+        return f"{known.__name__} has no {error.name}{hint} It has {', '.join(members)}"
     return str(error) if isinstance(error, FluxbenchError) else f"{type(error).__name__}: {error}".splitlines()[0]
 
 

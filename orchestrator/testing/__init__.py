@@ -8,6 +8,7 @@ question for its own tests. Nothing here is used while a motor runs.
 from orchestrator.testing._drive import DriveConformance
 from orchestrator.testing._effect import EffectConformance
 from orchestrator.testing._estimator import EstimatorConformance
+from orchestrator.testing._recorded import recording_with
 from orchestrator.testing._signals import exciting_signals
 from orchestrator.testing._stage import StageConformance
 from orchestrator.testing._stream import StreamConformance
@@ -19,4 +20,5 @@ __all__ = [
     "StageConformance",
     "StreamConformance",
     "exciting_signals",
+    "recording_with",
 ]

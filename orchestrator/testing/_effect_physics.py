@@ -5,43 +5,50 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, ClassVar
 
 import numpy as np
 
 from orchestrator.formatting.quantities import percent
 from orchestrator.formatting.sentences import listed
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
-from protocols import Correction, Effect, EffectLayer, EffectParameter, ParameterRole, Signals, unit_powers
+from protocols import (
+    LAYER_CHANGES,
+    Correction,
+    Effect,
+    EffectLayer,
+    EffectParameter,
+    ParameterRole,
+    Signals,
+    unit_powers,
+)
 
-CHANGES: Mapping[EffectLayer, frozenset[str]] = {
-    EffectLayer.CURRENT_SENSORS: frozenset({"i_ab"}),
-    EffectLayer.DELAY: frozenset({"v_ab", "v_late_ab"}),
-    EffectLayer.BUS: frozenset({"v_dc", "v_ab"}),
-    EffectLayer.INVERTER: frozenset({"v_ab"}),
-    EffectLayer.RESISTANCE: frozenset({"resistance_ohm", "v_ab"}),
-    EffectLayer.FRAME: frozenset({"theta_rad"}),
-    EffectLayer.IRON: frozenset({"i_m_ab", "v_ab"}),
-}
-"""What an effect of a layer can be about; the layers beyond it see what it has changed."""
 MAX_EVALUATION_S = 0.25
 """For a second of samples: a diagnosis evaluates an effect some thousand times."""
 CURRENT_SCALE = 4.0
 """Currents of another machine over the first one's; times stay."""
 VOLTAGE_SCALE = 0.5
-OTHER_UNITS = ("A", "V", "ohm", "1", "W", "1/A", "1/ohm")
+OTHER_UNITS = (
+    *("A", "V", "ohm", "1", "W", "1/A", "1/V", "1/ohm", "1/W", "A^2", "V^2", "1/A^2", "1/V^2"),
+    *("ohm/A", "ohm/A^2", "ohm/V", "ohm/W", "V/A^2", "A/V^2"),
+)
 """Units by which a parameter may scale; of those that scale alike, such as V and Wb, the most frequent one."""
 UNIT_RESPONSE_LIMITS = (0.01, 100.0)
 """Change of voltage or current by a parameter of 1 V or 1 A, in its own unit."""
 MIN_SLOPE_RATIO = 0.01
 """Smallest slope over the mean slope."""
+MAX_LOOK_AHEAD_S = 0.01
+"""Time by which a correction may look ahead, as a derivative or a smooth current does."""
 SIZE_FRACTIONS = (0.0, 0.13, 0.37, 0.61, 0.89)
 SIZE_STEP = 2e-3
 
 
 class EffectPhysicsChecks(ABC):
     """Units, layer, slope, speed, memory."""
+
+    looks_ahead: ClassVar[bool] = False
+    """True for an effect whose correction depends on samples more than `MAX_LOOK_AHEAD_S` later."""
 
     @abstractmethod
     def make_effect(self) -> Effect: ...
@@ -62,10 +69,10 @@ class EffectPhysicsChecks(ABC):
 
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
-        others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - CHANGES[layer])
+        others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - LAYER_CHANGES[layer])
         assert not others, (
-            f"layer is {layer.name}, whose effects change {listed(sorted(CHANGES[layer]))} alone, but this one changes "
-            f"{listed(others)}: choose another layer, or leave these signals"
+            f"layer is {layer.name}, whose effects change {listed(sorted(LAYER_CHANGES[layer]))} alone, but this one "
+            f"changes {listed(others)}: choose another layer, or leave these signals"
         )
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
@@ -110,8 +117,8 @@ class EffectPhysicsChecks(ABC):
             if fit is not None:
                 return f"{name} is declared in {declared}, but scales like a quantity in {fit}: correct its unit"
         return (
-            "Probably the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor "
-            f"(declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
+            "Either the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor. Or "
+            f"more than one unit is wrong (declared: {', '.join(f'{name} in {unit}' for name, unit in units.items())})"
         )
 
     def test_a_volt_is_a_volt(self) -> None:
@@ -170,6 +177,25 @@ class EffectPhysicsChecks(ABC):
         fresh = signals.corrected(self._correction(signals, self._values("typical")))
         assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
             "an earlier segment changes the correction of this one: keep no state, use the arguments of correct() alone"
+        )
+
+    def test_a_later_sample_changes_nothing_earlier(self) -> None:
+        """Such as a sum over a whole segment, which is another number in a longer one."""
+        if self.looks_ahead:
+            return
+        signals = self.signals()
+        half = len(signals.v_dc) // 2
+        early = half - round(MAX_LOOK_AHEAD_S * signals.sampling_frequency_hz)
+        values = self._values("typical")
+        one, other = (self._correction(s, values).arrays for s in (signals, _changed_from(signals, half)))
+        moved = {n: float(np.abs(other[n][:early] - x[:early]).max(initial=0.0)) for n, x in one.items() if n in other}
+        seen = {n: change / _largest(one[n]) for n, change in moved.items()}
+        late = {n: percent(100.0 * change) for n, change in seen.items() if change > 1e-9}
+        assert one.keys() == other.keys(), "samples after the middle of a segment change which signals it corrects"
+        assert not late, (
+            f"samples after the middle of a segment change {listed(sorted(late))} before it, by up to "
+            f"{max(late.values())}: does a sum or mean run over time instead of the two axes (axis=1)? For an effect "
+            "that knows the future, set looks_ahead = True in the test class"
         )
 
     def test_answers_quickly(self) -> None:
@@ -236,6 +262,22 @@ def _later(signals: Signals, by_s: float = 1000.0) -> Signals:
     if signals.losses is not None:
         update["losses"] = replace(signals.losses, time_s=signals.losses.time_s + by_s)
     return replace(signals, **update)
+
+
+def _changed_from(signals: Signals, start: int) -> Signals:
+    """The same up to a sample; from there on every array of samples is half as large again."""
+    samples = len(signals.v_dc)
+    arrays = {field.name: getattr(signals, field.name) for field in fields(signals)}
+    update: dict[str, Any] = {
+        name: np.concatenate([x[:start], 1.5 * x[start:]])
+        for name, x in arrays.items()
+        if isinstance(x, np.ndarray) and len(x) == samples
+    }
+    return replace(signals, **update)
+
+
+def _largest(x: np.ndarray) -> float:
+    return max(float(np.abs(x).max()), 1e-12)
 
 
 def _at(p: EffectParameter, size: float) -> float:

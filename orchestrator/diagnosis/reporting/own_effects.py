@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
@@ -12,7 +14,10 @@ from orchestrator.diagnosis.selection.contrasts import inseparable_from
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from orchestrator.formatting.sentences import listed
-from protocols import Remark, SearchEvent
+from protocols import LAYER_CHANGES, RealArray, Remark, SearchEvent, Signals
+
+MAX_NEUTRAL_CHANGE: float = 1e-9
+"""Change of a signal by neutral parameters, over its largest value, that rounding explains."""
 
 
 def own_effect_remarks(
@@ -51,6 +56,48 @@ def own_effect_remarks(
             why = "no segment can show it" if name not in can_show else _why_not_fitted(fitter, candidate, fit, events)
             remarks.append(Remark.of("own_effect_not_tried", text, effect=plain(name), why=why))
     return remarks
+
+
+def contract_remarks(fit: Fit, candidates: Sequence[CandidateEffect]) -> list[Remark]:
+    """Remarks on own effects whose size means nothing: those that act at neutral values, or beyond their layer.
+
+    Code ``breaks_contract``. It is what the conformance kit checks first, on the segment of the largest current.
+    """
+    own = [candidate for candidate in candidates if is_own(candidate.effect)]
+    bases = [one.base for one in fit.linearisation.batches] if own else []
+    segments = [base.segment(k) for base in bases for k in range(len(base.segments)) if base.segments[k].bridge_on]
+    if not segments:
+        return []
+    signals = max(segments, key=lambda s: float(np.abs(s.i_ab).max()))
+    text = "{effect}: {problems}, so that its size and what resembles it mean little: run its conformance kit first"
+    found = {candidate.name: _broken_rules(candidate, signals) for candidate in own}
+    return [
+        Remark.of("breaks_contract", text, effect=plain(name), problems=" and ".join(problems))
+        for name, problems in found.items()
+        if problems
+    ]
+
+
+def _broken_rules(candidate: CandidateEffect, signals: Signals) -> list[str]:
+    neutral, typical = (
+        EffectTerm(candidate, {p.name: getattr(p, which) for p in candidate.parameters}, ())
+        for which in ("neutral", "typical")
+    )
+    before, after = (candidate.effect.correct(signals, term.parameters).arrays for term in (neutral, typical))
+    beyond = sorted(after.keys() - LAYER_CHANGES[candidate.effect.layer])
+    moved = [] if any(p.strong_when_small for p in candidate.parameters) else sorted(before)
+    moved = [name for name in moved if _change(getattr(signals, name), before[name]) > MAX_NEUTRAL_CHANGE]
+    problems = [f"at its neutral values it changes {listed(moved)}"] if moved else []
+    return problems + (
+        [f"its layer is {candidate.effect.layer.name}, but it changes {listed(beyond)}"] if beyond else []
+    )
+
+
+def _change(before: RealArray | None, after: RealArray) -> float:
+    """Largest change of an array over its largest value."""
+    change = after if before is None else after - before
+    size = 0.0 if before is None else float(np.abs(before).max())
+    return float(np.abs(change).max()) / max(size, 1e-12)
 
 
 def _trials(name: str, events: Sequence[SearchEvent]) -> list[str]:

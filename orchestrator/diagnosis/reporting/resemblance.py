@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, resembling, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, needed_contrasts, resembling, separable
 from orchestrator.diagnosis.selection.scoring import fits_as_well
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import evidence_gain
@@ -50,6 +51,12 @@ class Alternative:
         return abs(self.gain) < self.fit.criteria.selection.tie or fits_as_well(lesser, better)
 
     @property
+    def sigmas(self) -> float:
+        """Difference of the two fits in standard deviations."""
+        inflation = max(1.0, min(self.fit.chi2_per_dof, self.in_place.chi2_per_dof))
+        return math.sqrt(abs(self.in_place.objective - self.fit.objective) / inflation)
+
+    @property
     def fits_better(self) -> bool:
         """Whether the other one fits better."""
         return self.gain > 0.0 and not self.is_tied
@@ -82,6 +89,47 @@ def own_alternatives(setup: DiagnosisSetup, fit: Fit, candidates: Sequence[Candi
     ]
 
 
+def refitted_ties(
+    setup: DiagnosisSetup,
+    fit: Fit,
+    indistinguishable: Mapping[str, Sequence[str]],
+    candidates: Sequence[CandidateEffect],
+    known: Sequence[Alternative],
+) -> list[Alternative]:
+    """Effects that the search found indistinguishable, each refitted in the other's place in the final model.
+
+    A search compares them while other effects are still missing. Those whose declared contrasts the recording lacks
+    stay indistinguishable without a refit.
+    """
+    absent = {c.name: c for c in candidates if c.name not in fit.model.names}
+    done = {(one.name, one.other) for one in known}
+    refitted = []
+    for term in fit.model.active:
+        others = [absent[n] for n in indistinguishable.get(term.name, ()) if n in absent and (term.name, n) not in done]
+        others = [one for one in others if separable(fit.prepared, one.effect, term.candidate.effect)]
+        without = fit.model.with_active([a for a in fit.model.active if a.name != term.name])
+        reduced = setup.fitter.evaluate(without, fit.linearisation) if others else fit
+        refitted += [_alternative(setup, fit, term.name, reduced, other) for other in others]
+    return refitted
+
+
+def separated_remarks(refitted: Sequence[Alternative]) -> list[Remark]:
+    """A remark, ``separated``, for each pair that the search found indistinguishable and that a refit separates."""
+    text = "{effect} and {other} are separated, by {sigmas:.2g} sigma: {fits}"
+    return [
+        Remark.of(
+            "separated",
+            text,
+            effect=plain(one.name),
+            other=plain(one.other),
+            sigmas=one.sigmas,
+            fits=_fits_in_words(one),
+        )
+        for one in refitted
+        if not one.is_tied
+    ]
+
+
 def alternative_remarks(alternatives: Sequence[Alternative]) -> list[Remark]:
     """A remark for each: ``indistinguishable``, ``fits_better_in_place`` or ``fits_worse_in_place``."""
     remarks = []
@@ -106,7 +154,7 @@ def _parting(one: Alternative) -> str:
         next(term.candidate.effect for term in fit.model.active if term.name == name)
         for fit, name in ((one.fit, one.name), (one.in_place, one.other))
     ]
-    lacking = [CONTRASTS[c].text for c in separating_contrasts(*effects) if not holds(prepared, c)]
+    lacking = [CONTRASTS[c].text for c in needed_contrasts(*effects) if not holds(prepared, c)]
     same = "; what was measured leaves the same residual with either"
     return f"{same}, and {listed(lacking)} would tell them apart" if lacking else f"{same}, within the noise"
 
@@ -141,7 +189,14 @@ def inseparable_remark(pair: Inseparable) -> Remark:
         "separate them by {best:.2g} sigma, and {least:.2g} are needed"
     )
     first, second = map(plain, pair.separates)
-    return Remark.of("not_separable", text, first=first, second=second, best=pair.best_sigmas, least=pair.least_sigmas)
+    numbers = {"best": pair.best_sigmas, "least": pair.least_sigmas}
+    if pair.reached_sigmas is not None:
+        text = (
+            "{first} and {second}: the stage that separates them most is measured already, and the recording separates "
+            "them by {reached:.2g} sigma where {least:.2g} are needed; any other stage adds {best:.2g} sigma at most"
+        )
+        numbers["reached"] = pair.reached_sigmas
+    return Remark.of("not_separable", text, first=first, second=second, **numbers)
 
 
 def with_tied(
@@ -149,8 +204,11 @@ def with_tied(
     alternatives: Sequence[Alternative],
     pairs: Sequence[tuple[str, str]],
 ) -> dict[str, list[str]]:
-    """The indistinguishable effects by name, with tied alternatives and pairs added."""
-    tied = {name: list(others) for name, others in indistinguishable.items()}
+    """The indistinguishable effects by name, with tied alternatives and pairs added; less what a refit separates."""
+    apart = {(one.name, one.other) for one in alternatives if not one.is_tied}
+    tied = {
+        name: [other for other in others if (name, other) not in apart] for name, others in indistinguishable.items()
+    }
     links = [(one.name, one.other) for one in alternatives if one.is_tied]
     for name, other in (*links, *pairs, *((other, name) for name, other in pairs)):
         if other not in tied.setdefault(name, []):
@@ -163,7 +221,7 @@ def _fits_in_words(one: Alternative) -> str:
 
     Where chi2 alone says the opposite, the sentence says what the log evidence counts besides.
     """
-    gain = number(round(one.gain) if abs(one.gain) >= 10.0 else one.gain, 6)
+    gain = number(round(one.gain), 6) if abs(one.gain) >= 10.0 else number(one.gain, 2)
     sign = "+" if one.gain > 0.0 else ""
     ends = f"chi2 {number(one.fit.chi2_per_dof, 4)} with {plain(one.name)}, "
     is_opposite = (one.in_place.chi2_per_dof < one.fit.chi2_per_dof) != (one.gain > 0.0)

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, needed_contrasts
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import number, operating_point, percent, quantity, value_and_interval
@@ -135,7 +135,7 @@ def _contrasts(diagnosis: Diagnosis, found: FoundEffect) -> list[Contrast]:
     """Contrasts that separate an effect from its alternatives."""
     effects = {c.name: c.effect for c in diagnosis.library}
     twins = [effects[name] for name in found.twins]
-    return list(dict.fromkeys(c for twin in twins for c in separating_contrasts(effects[found.name], twin)))
+    return list(dict.fromkeys(c for twin in twins for c in needed_contrasts(effects[found.name], twin)))
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -262,7 +262,10 @@ def _next(diagnosis: Diagnosis) -> str:
             return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
-        return experiment_to_decide(proposal)
+        named = [found for found in diagnosis.report.effects if found.name in proposal.separates]
+        angle = CONTRASTS[Contrast.SECOND_ANGLE].text
+        also = f"; {angle} would, too" if any(angle in _needed(diagnosis, found) for found in named) else ""
+        return f"{experiment_to_decide(proposal)}{also}"
     if inseparable := next((r for r in diagnosis.report.remarks if r.code == "not_separable"), None):
         return inseparable.text
     for found in diagnosis.report.effects:

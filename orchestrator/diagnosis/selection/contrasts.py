@@ -142,6 +142,15 @@ def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
     return tuple(contrast for contrast in first.needs if contrast in second.needs)
 
 
+def needed_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
+    """The contrasts in the `needs` of both, or else those in the `needs` of own effects among them.
+
+    The author of an own effect knows what separates it, and cannot change what the installed ones declare.
+    """
+    own = (contrast for effect in (first, second) if is_own(effect) for contrast in effect.needs)
+    return separating_contrasts(first, second) or tuple(dict.fromkeys(own))
+
+
 def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
     """Whether the recording holds every contrast that separates the two effects."""
     return all(holds(prepared, contrast) for contrast in separating_contrasts(first, second))

@@ -71,6 +71,7 @@ def run_command(
     rounds: Annotated[
         int | None, typer.Option(min=1, max=10, help="With --from: maximum number of experiments.", show_default="1")
     ] = None,
+    effects: EffectsOption = None,
     queue: Annotated[
         bool, typer.Option("--queue", help="Run motor after motor; ask for each one's serial number.")
     ] = False,
@@ -90,7 +91,7 @@ def run_command(
     Limits in the procedure's section `accept` decide whether the motor passes; exit code 4 where it does not.
 
     With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
-    diagnose again.
+    diagnose again. Own effects of the last diagnosis take part, from the file that the model records, or --effects.
     """
     _check_options(log, remote, unattended, junit)
     if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
@@ -103,6 +104,8 @@ def run_command(
     if source is None:
         if rounds is not None:
             raise typer.BadParameter("requires --from", param_hint="--rounds")
+        if effects is not None:
+            raise typer.BadParameter("requires --from: a new run is diagnosed by `diagnose`", param_hint="--effects")
         about = {"serial": serial, "operator": operator, "ambient_c": ambient, "tags": tags, "notes": notes}
         if queue:
             return run_queue(procedure or "demo", drive, motor, settings or [], audience, about)
@@ -114,7 +117,7 @@ def run_command(
             "--ambient, --tag and --note",
             param_hint="--from",
         )
-    return run_further(source, rounds or 1, audience)
+    return run_further(source, rounds or 1, audience, effects)
 
 
 @commands.command("resume", epilog="Example: fluxbench resume runs/first")

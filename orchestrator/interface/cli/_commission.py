@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,12 +115,20 @@ def run_queue(
     return work_through(ask_serial, run_motor, _warn)
 
 
-def run_further(source: Path, rounds: int, audience: Audience) -> int:
-    """Measure the experiment that a run's diagnosis proposes, and diagnose again."""
-    from orchestrator.interface.cli._further import next_stages
+def run_further(source: Path, rounds: int, audience: Audience, effects: Path | None = None) -> int:
+    """Measure the experiment that a run's diagnosis proposes, and diagnose again, with its own effects."""
+    from orchestrator.interface.cli._further import continuation, diagnose_again
 
-    path, stages = next_stages(source, rounds)
-    return _with_services(lambda services: extend_run(path, stages, services), audience)
+    further = continuation(source, rounds, effects)
+    for left in reversed(range(rounds)):
+        code = _with_services(partial(extend_run, further.path, further.stages), audience)
+        if code != 0 or further.effects is None:
+            return code
+        is_proposed = diagnose_again(further.path, further.effects, quiet=audience.console_mode != "auto")
+        if not (left and is_proposed):
+            break
+        further = continuation(further.path, left, further.effects)
+    return 0
 
 
 def resume(path: Path, audience: Audience) -> int:

@@ -83,6 +83,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
 
 def _place_of(error: Exception) -> str:
     """File and line of a plugin's code that caused an error of ours; empty where there is none."""
+    from sysconfig import get_path
     from traceback import extract_tb
 
     from protocols import PluginError
@@ -92,6 +93,7 @@ def _place_of(error: Exception) -> str:
         return ""
     files = [(frame.filename, frame.lineno) for frame in extract_tb(cause.__traceback__)]
     foreign = [(file, line) for file, line in files if "site-packages" not in file and "<" not in file]
+    foreign = [(file, line) for file, line in foreign if not file.startswith(get_path("stdlib"))]
     foreign = [(file, line) for file, line in foreign if not _is_own(file)]
     return f" ({foreign[-1][0]}, line {foreign[-1][1]})" if foreign else ""
 

@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_li
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.first_models import first_steps
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.experiment_design.proposal import catalogue, is_repetition, next_experiment
+from orchestrator.experiment_design.proposal import catalogue, is_measured, next_experiment
 from orchestrator.experiment_design.separation import confounded_pair, separation
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime, DeviceDrop
@@ -82,7 +82,6 @@ def test_the_best_a_minute_is_proposed_within_a_second(
     assert time.process_time() - began < 3.0  # one second on a machine with nothing else to do
     assert isinstance(proposal, NextExperiment)
     assert proposal.stage == holds(catalogue(setup))[1]
-    assert not proposal.is_repetition
     assert proposal.minutes == pytest.approx(8 * 2 * 1.0 / 60.0, abs=0.01)
 
 
@@ -96,12 +95,12 @@ def test_an_effect_that_is_not_in_the_model_is_separated_as_large_as_it_would_be
     assert "pwm_frequencies_hz" in proposal.stage
 
 
-def test_what_was_measured_already_is_said_to_be_a_repetition(setup: DiagnosisSetup) -> None:
+def test_a_stage_is_measured_where_the_recording_holds_its_points_and_settings(setup: DiagnosisSetup) -> None:
     two = holds(catalogue(setup))[1]
     gates_off = {"kind": "gates_off", "duration_s": 2.0}
-    assert not is_repetition(setup, two), "the recording has one PWM frequency"
-    assert is_repetition(setup, gates_off)
-    assert is_repetition(setup, {**gates_off, "duration_s": 10.0})
+    assert not is_measured(setup, two), "the recording has one PWM frequency"
+    assert is_measured(setup, gates_off)
+    assert is_measured(setup, {**gates_off, "duration_s": 10.0})
 
 
 @pytest.mark.slow

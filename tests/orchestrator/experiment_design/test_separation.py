@@ -13,16 +13,17 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.experiment_design import separation as planning
-from orchestrator.experiment_design.separation import confounded_pair, planned_pieces, separation
+from orchestrator.experiment_design.separation import ConfoundedPair, confounded_pair, planned_pieces, separation
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
-from protocols import Effect, SegmentStage
+from protocols import Effect, ModelNoise, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import (
     L_D,
     Plan,
     fitter,
     free_model,
+    hold,
     plan,
     prepared,
     setup_of,
@@ -96,3 +97,25 @@ def test_a_stage_of_too_few_readings_separates_nothing(
 ) -> None:
     monkeypatch.setattr(planning, "windows_of", lambda *_: None)
     assert planned_pieces(setup, free_model(), stage) == []
+
+
+def test_a_planned_hold_has_the_commands_that_the_model_s_losses_need(setup: DiagnosisSetup) -> None:
+    fit = _fitted(setup.fitter, VoltageBias())
+    stage = {"kind": "resistance", "points_a": [[1.0, -0.5]], "duration_s": 0.5}
+    ((one, _),) = planned_pieces(setup, fit.model, stage)
+    bias = [fit.model.active[0].values[name] for name in ("bias_a_v", "bias_b_v")]
+    expected = fit.model.r_s * np.array([1.0, -0.5]) + [bias[0], (bias[0] + 2.0 * bias[1]) / np.sqrt(3.0)]
+    np.testing.assert_allclose(one.signals.v_ab.mean(axis=0), expected, atol=1e-6)
+
+
+def test_a_planned_segment_has_the_information_of_one_that_is_measured_as_long(setup: DiagnosisSetup) -> None:
+    scattered = setup.fitter.with_noise(ModelNoise(offset_scatter_a=1e-3))
+    model = free_model()
+    stage = {"kind": "resistance", "points_a": [[1.0, 0.0]], "duration_s": 2.0}
+    ((short, weight),) = planned_pieces(setup, model, stage)
+    absent = scaled_library([VoltageBias()], setup.prepared.manifest)[0].absent()
+    pair = ConfoundedPair(model, absent, np.ones(2), np.zeros((0, 0)), {})
+    whole = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0, samples=20_000))], noise_a=0.0).pieces[0]
+    planned = weight * planning._normal(planning._as_one_segment(scattered, weight), pair, [short], with_prior=False)
+    measured = planning._normal(scattered, pair, [whole], with_prior=False)
+    np.testing.assert_allclose(np.diag(planned)[-2:], np.diag(measured)[-2:], rtol=0.05)

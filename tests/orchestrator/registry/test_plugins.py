@@ -244,6 +244,15 @@ def test_what_a_new_effect_lacks_is_stated_with_what_to_write(
     assert "mine.py" in text
 
 
+def test_an_unknown_contrast_is_reported_with_all_names(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    unknown = "needs = (Contrast.SECOND_ROTOR_ANGLE,)"
+    mine.write_text(EFFECT.replace("import ", "import Contrast, ", 1).replace("needs = ()", unknown))
+    text = complaint(lambda: load_effects_file(mine))
+    assert "mine.py: does not run: Contrast has no SECOND_ROTOR_ANGLE; did you mean SECOND_ANGLE?" in text
+    assert "It has GATES_OFF, SECOND_PWM_FREQUENCY, " in text
+
+
 @pytest.mark.parametrize(
     ("method", "reported"),
     [

@@ -216,6 +216,27 @@ class ShapeActsAlone(ExampleEffect):
         return self._less(signals, p.bias_a_v + p.knee_a - 0.05)
 
 
+class SumsOverTime(ExampleEffect):
+    """One number for the whole segment instead of one for each sample."""
+
+    class Parameters(EffectParameters):
+        rise: float = amplitude("1/A^2", typical=1e-6, prior_width=1e-6, low=-1e-3, high=1e-3)
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return Correction(v_ab=signals.v_ab * (1.0 + p.rise * np.sum(signals.i_ab**2)))
+
+
+class WrongPower(ExampleEffect):
+    """A resistance that grows with the current squared, declared as a resistance."""
+
+    class Parameters(EffectParameters):
+        extra_ohm: float = amplitude("ohm", typical=0.1, prior_width=0.1, low=-2.0, high=2.0)
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        i = signals.i_ab
+        return Correction(v_ab=signals.v_ab - p.extra_ohm * np.sum(i**2, axis=1, keepdims=True) * i)
+
+
 class NoSignature(ExampleEffect):
     signature = ""
 
@@ -342,6 +363,7 @@ MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
     (NoParameters, "parameters_can_be_fitted"),
     (NoAmplitude, "parameters_can_be_fitted"),
     (ShapeActsAlone, "amplitudes_are_neutral"),
+    (SumsOverTime, "later_sample_changes_nothing"),
     (NoSignature, "class_keeps_the_contract"),
     (LayerByNumber, "class_keeps_the_contract"),
     (NeedsByName, "class_keeps_the_contract"),
@@ -357,6 +379,7 @@ def test_fails_an_effect_that_breaks_the_contract(tmp_path: Path, effect: type[E
     ("effect", "cause"),
     [
         (WrongUnit, "bias_a_v is declared in A, but scales like a quantity in V: correct its unit"),
+        (WrongPower, "extra_ohm is declared in ohm, but scales like a quantity in ohm/A^2: correct its unit"),
         (HiddenSize, "the code has a constant in A, V or ohm: make it a parameter, or take it from signals.motor"),
     ],
 )
@@ -366,3 +389,9 @@ def test_an_effect_that_does_not_scale_with_the_machine_is_told_why(
     (message,) = failures(kit_for(effect), tmp_path, only="of_another_size").values()
     assert cause in message
     assert "the effect should scale alike, but differs by" in message
+
+
+def test_an_effect_that_knows_the_future_may_say_so(tmp_path: Path) -> None:
+    kit = kit_for(SumsOverTime)
+    type(kit).looks_ahead = True
+    assert failures(kit, tmp_path, only="later_sample_changes_nothing") == {}

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.testing._effect_physics import CHANGES
-from protocols import EFFECT_HOOKS, EffectLayer, ParameterRole, Signals
+from protocols import EFFECT_HOOKS, LAYER_CHANGES, EffectLayer, ParameterRole, Signals
 
 ROOT = Path(__file__).parents[3]
 PAGES = (ROOT / "docs" / "plugins.md", ROOT / "docs" / "effects.md")
@@ -140,7 +139,7 @@ def test_effects_page_names_the_protocol_of_every_method() -> None:
 def test_effects_page_says_what_an_effect_of_each_layer_may_change() -> None:
     rows = re.findall(r"^\| `([A-Z_]+)` \|.*\| (.*) \|$", PAGES[1].read_text(encoding="utf-8"), re.M)
     assert {layer: set(re.findall(r"`(\w+)`", may)) for layer, may in rows} == {
-        layer.name: set(changes) for layer, changes in CHANGES.items()
+        layer.name: set(changes) for layer, changes in LAYER_CHANGES.items()
     }
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.guarded import guarded
-from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
-from plugins.effects.inverter import DeadTime, DeviceDrop
-from protocols import Contrast, Effect, SearchDecision, SearchEvent, SearchMove
+from orchestrator.diagnosis.reporting.own_effects import contract_remarks, own_effect_remarks
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
+from protocols import Contrast, Correction, Effect, SearchDecision, SearchEvent, SearchMove, Signals
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
 
@@ -102,3 +102,22 @@ def test_an_own_effect_that_the_recording_cannot_separate_from_a_named_one_is_re
 def test_what_is_in_the_model_or_installed_has_no_such_remark() -> None:
     assert remark(guarded(Own()), SCREEN, *REFITS, model=guarded(Own())) == []
     assert remark(Own(), SCREEN, *REFITS) == []
+
+
+class ActsAtNeutral(VoltageBias):
+    """An effect that acts where its amplitudes are neutral, and on another layer's signals."""
+
+    name: ClassVar[str] = "acts_at_neutral"
+
+    def correct(self, signals: Signals, p: VoltageBias.Parameters) -> Correction:
+        return Correction(v_ab=signals.v_ab - (1.0 + p.bias_a_v), theta_rad=signals.theta_rad + 0.1)
+
+
+def test_an_own_effect_that_breaks_its_contract_is_reported_and_a_sound_one_is_not() -> None:
+    library = scaled_library([guarded(ActsAtNeutral()), guarded(Own()), ActsAtNeutral()], MAKER.prepared.manifest)
+    (remark,) = contract_remarks(BARE, library)
+    assert remark.code == "breaks_contract"
+    assert (
+        "acts at neutral: at its neutral values it changes theta_rad and v_ab and its layer is INVERTER" in remark.text
+    )
+    assert "it changes theta_rad, so that its size" in remark.text

@@ -15,13 +15,16 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.resemblance import (
     Alternative,
     alternative_remarks,
+    inseparable_remark,
     own_alternatives,
     pair_remarks,
+    refitted_ties,
     resembling_pairs,
+    separated_remarks,
     with_tied,
 )
 from plugins.effects.inverter import DeadTime, VoltageBias
-from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Signals, amplitude
+from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Inseparable, Signals, amplitude
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 
@@ -117,3 +120,25 @@ def test_what_is_tied_already_is_stated_once(maker: Fitter) -> None:
         scaled_library([VoltageBias(), guarded(SameBias())], maker.prepared.manifest),
     )
     assert with_tied({"voltage_bias": ["same_bias"]}, [one], []) == {"voltage_bias": ["same_bias"]}
+
+
+def test_what_the_search_could_not_distinguish_is_refitted_in_the_final_model(maker: Fitter) -> None:
+    fit = fitted(maker, VoltageBias())
+    library = scaled_library([VoltageBias(), SameBias(), AlphaBias(), DeadTime()], maker.prepared.manifest)
+    of_search = {"voltage_bias": ["same_bias", "alpha_bias"], "dead_time": ["alpha_bias"]}
+    refitted = refitted_ties(setup_of(maker), fit, of_search, library, [])
+    assert {one.other: one.is_tied for one in refitted} == {"same_bias": True, "alpha_bias": False}
+    assert with_tied(of_search, refitted, [])["voltage_bias"] == ["same_bias"]
+    (remark,) = separated_remarks(refitted)
+    assert remark.text.startswith("voltage bias and alpha bias are separated, by ")
+    (worse,) = (one for one in refitted if one.other == "alpha_bias")
+    assert worse.sigmas**2 == pytest.approx((worse.in_place.objective - fit.objective) / max(1.0, fit.chi2_per_dof))
+
+
+def test_a_pair_whose_stage_was_measured_states_the_separation_that_was_reached() -> None:
+    pair = Inseparable(separates=("dead_time", "device_drop"), best_sigmas=1.2, least_sigmas=5.0, reached_sigmas=3.6)
+    text = inseparable_remark(pair).text
+    assert "measured already, and the recording separates them by 3.6 sigma where 5 are needed" in text
+    assert (
+        "not separable by any experiment" in inseparable_remark(pair.model_copy(update={"reached_sigmas": None})).text
+    )

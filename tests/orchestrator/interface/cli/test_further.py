@@ -12,7 +12,7 @@ import yaml
 from orchestrator.diagnosis import Diagnosis, save_diagnosis
 from orchestrator.diagnosis.selection.search_state import SearchResult
 from orchestrator.experiment_design.proposal import next_experiment
-from orchestrator.interface.cli._further import next_stages
+from orchestrator.interface.cli._further import continuation
 from protocols import Compared, Diagnosed, InputError, PointDone, StagesAppended
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 from tests.support.processes import called, start_fluxbench, wait_until
@@ -81,7 +81,22 @@ def test_a_run_without_a_diagnosis_is_diagnosed_with_a_proposal(run: Path, monke
     monkeypatch.setattr("orchestrator.interface.cli._further.diagnose_recording", diagnose)
     (run / "results" / "diagnosis.json").unlink()
     with pytest.raises(InputError, match="nothing to decide"):
-        next_stages(run, 1)
+        continuation(run, 1)
+
+
+def test_an_experiment_on_an_own_effect_is_diagnosed_with_its_file(run: Path, tmp_path: Path) -> None:
+    proposal = {"stage": EXPERIMENT, "separates": ["leg_gain", "device_drop"], "minutes": 0.1}
+    save_diagnosis(run, a_diagnosis(next_experiment=proposal), WORDS, ())
+    with pytest.raises(InputError, match="about leg_gain, which is not installed: give its file by --effects FILE"):
+        continuation(run, 1)
+    mine = tmp_path / "mine.py"
+    further = continuation(run, 1, mine)
+    assert further.effects == mine
+    diagnosis_in(run, EXPERIMENT)
+    whole = continuation(run, 1)
+    assert whole.effects is None
+    assert [*further.stages, whole.stages[-1]] == [*whole.stages]
+    assert whole.stages[-1].kind == "diagnose"
 
 
 def test_where_nothing_is_to_be_decided_nothing_is_energised(run: Path) -> None:
