@@ -231,7 +231,7 @@ def effects_command(
     name: Annotated[str | None, typer.Argument(help="Describe this effect alone.", metavar="[EFFECT]")] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """List the physical effects that a diagnosis knows, or describe one.
+    """List the physical effects of the library, or describe one.
 
     With EFFECT: what it is, how it shows, its parameters, and what to do at the bench.
     """

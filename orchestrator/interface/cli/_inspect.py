@@ -67,7 +67,7 @@ def procedures(name: str | None, as_json: bool) -> int:
 
 
 def effects(name: str | None, as_json: bool) -> int:
-    """List the physical effects that a diagnosis knows, or describe one."""
+    """List the physical effects of the library, or describe one."""
     if name is not None:
         return _describe_effect(name, as_json)
     plugins = {info.name: load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)}

@@ -291,11 +291,12 @@ def _band(estimate: ResistanceEstimate | None) -> str:
 
 def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
-    classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
+    bases = (Basis.INTEGRATION, Basis.INJECTION)
+    classical, injection = (_first_by(basis, material.maps) for basis in bases)
     if classical is None or injection is None:
         if not content.is_estimated(material):
             return Picture(title, f"Not drawn: {content.why_no_map(material)}.")
-        missing = listed([name for name, grid in (("classical", classical), ("injection", injection)) if grid is None])
+        missing = listed([one.value for one, grid in zip(bases, (classical, injection), strict=True) if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))
