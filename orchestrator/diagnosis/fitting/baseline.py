@@ -318,17 +318,20 @@ def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def with_local_roughness(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """Refit a fine map as rough as it is from place to place, and on finer grids while its evidence grows by them."""
+    """Refit a fine map as rough as it is from place to place, and on finer grids while they gain evidence and chi2."""
     if not has_fine_grid(fit):
         return fit
-    grids, roughness = [fit.model.space.grid], estimated_roughness(fit)
-    while grids:
-        trials = [_fit_on_map(fitter, _on_grid(setup, fit, grid, roughness), fit) for grid in grids]
+    roughness = estimated_roughness(fit)
+    local = _fit_on_map(fitter, _on_grid(setup, fit, fit.model.space.grid, roughness), fit)
+    if map_log_evidence(local) <= map_log_evidence(fit):
+        return fit
+    while grids := _finer_grids(setup, local):
+        trials = [_fit_on_map(fitter, _on_grid(setup, local, grid, roughness), local) for grid in grids]
         best = max(trials, key=map_log_evidence)
-        if map_log_evidence(best) <= map_log_evidence(fit):
+        if map_log_evidence(best) <= map_log_evidence(local) or not _removes_much(best, local):
             break
-        fit, grids = best, _finer_grids(setup, best)
-    return fit
+        local = best
+    return local
 
 
 def with_kink_switched(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
