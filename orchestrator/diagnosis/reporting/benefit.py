@@ -17,6 +17,12 @@ MAX_RISE_OF_ERROR: float = 0.01
 """Relative rise of the rms error from which an effect does not help, whatever the likelihood."""
 
 
+MAX_PART_LEFT: float = 0.5
+"""Part of the error that an effect may leave for its benefit to speak for it, where the rest exceeds the noise."""
+SEVERAL_TIMES_THE_NOISE: float = 5.0
+"""Error over the noise's, beyond which something large is missing."""
+
+
 def added_remark(
     name: str, before: Fit, after: Fit, found: FoundEffect | None, resembles: Sequence[str] = ()
 ) -> Remark:
@@ -46,7 +52,7 @@ def added_remark(
             return _remark(
                 "helps_besides", "{effect} may help: " + f"{course}; but it resembles {others}", name, errors
             )
-        return _remark("helps", "{effect} helps: " + course, name, errors)
+        return _remark("helps", "{effect} helps: " + course + _while_much_is_left(errors), name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
     return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)
@@ -72,7 +78,8 @@ def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
     """
     errors = _errors(before, after)
     if _log_likelihood_gain(after, before) > _min_gain(before):
-        return _remark("needed", "{effect} is needed: without it {of} {course}", name, errors)
+        rest = _while_much_is_left({**errors, "before_v": errors["after_v"], "after_v": errors["before_v"]})
+        return _remark("needed", "{effect} is needed: without it {of} {course}" + rest, name, errors)
     return _remark("not_needed", "{effect} is not needed: without it {of} {course}", name, errors)
 
 
@@ -102,6 +109,14 @@ def _in_words(errors: dict[str, float | str | None]) -> dict[str, str]:
     of = "the held-out error" if errors["judged_on"] == "held_out" else "the error (nothing was held out)"
     only = "only " if course.startswith("falls") else ""
     return {"of": of, "only": only, "course": course, "noise": quantity(_number(errors["noise_v"]), "V")}
+
+
+def _while_much_is_left(errors: dict[str, float | str | None]) -> str:
+    """A warning where most of the error is left with the effect: then a wrong effect may help, too."""
+    without, rest, noise = (_number(errors[key]) or 0.0 for key in ("before_v", "after_v", "noise_v"))
+    if rest <= MAX_PART_LEFT * without or rest <= SEVERAL_TIMES_THE_NOISE * noise:
+        return ""
+    return "; most of the error is still there, beside which this says little"
 
 
 def _number(value: float | str | None) -> float | None:

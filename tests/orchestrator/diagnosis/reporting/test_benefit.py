@@ -59,6 +59,19 @@ def test_without_held_out_stages_the_fitted_error_judges() -> None:
     assert reported.code == "helps"
 
 
+@pytest.mark.parametrize(("rest_v", "warns"), [(2.1, True), (0.9, False)])
+def test_a_benefit_beside_most_of_the_error_says_little(
+    biased: tuple[Fit, Fit], rest_v: float, warns: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = biased
+    errors = {id(before): 2.66, id(after): rest_v}
+    monkeypatch.setattr(benefit, "mean_rms_v", lambda fit, _: errors[id(fit)])
+    monkeypatch.setattr(benefit, "noise_rms_v", lambda *_: 0.004)
+    added, removed = added_remark("voltage_bias", before, after, None), removed_remark("voltage_bias", after, before)
+    assert (added.code, removed.code) == ("helps", "needed")
+    assert [("says little" in one.text) for one in (added, removed)] == [warns, warns]
+
+
 def test_an_effect_with_which_the_error_rises_does_not_help_whatever_the_likelihood(
     biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
