@@ -80,7 +80,7 @@ def verdict_record(
 
 
 def fitted_verdict(before: Fit, after: Fit) -> Verdict:
-    """The verdict from the fitted stages alone, for decisions of the search, which must not use held-out stages.
+    """The verdict from the fitted stages alone, for decisions of the search: held-out stages bring in no effect.
 
     Its limit of chi2 is wider than the report's.
     """

@@ -83,10 +83,10 @@ def test_what_other_forms_of_the_others_explain_with_more_evidence_goes(
 ) -> None:
     library = scaled_library([VoltageBias(), PhaseResistanceImbalance()], biased.prepared.manifest)
     state = replace(joint_state(biased, [c.absent() for c in library]), is_part=False)
-    asked = []
+    mixed = []
 
     def mixture(_: Fitter, trial: Fit, names: tuple[str, ...]) -> FormMixture:
-        asked.append(names)
+        mixed.append(names)
         worth = evidence_gain(state.fit, trial) * state.noise
         return FormMixture(names, 0.5, worth + (part_of_worth - 1.0) * abs(worth), np.zeros(0), np.zeros((0, 0)))
 
@@ -94,7 +94,7 @@ def test_what_other_forms_of_the_others_explain_with_more_evidence_goes(
     (weakest, _) = other_form_moves(state)
     assert weakest.concerned[0] == "phase_resistance_imbalance"
     after = weakest.make()
-    assert asked == [("voltage_bias",)]
+    assert mixed == [("voltage_bias",)]
     assert (after is None) == stays
     assert after is None or after.refused == ("phase_resistance_imbalance",)
     assert not list(other_form_moves(replace(state, is_part=True)))
