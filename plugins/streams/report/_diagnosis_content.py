@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
-from orchestrator.formatting.results import joint_bound, parameter_rows, sized_parameter, trace_words
+from orchestrator.formatting.results import joint_bound, parameter_rows, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
@@ -80,15 +80,14 @@ def signature_rows() -> Rows:
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
-    """Every parameter of every effect: value, interval, typical size; and the effects that fit as well in its place."""
+    """Every parameter of every effect with value and interval, and the effects that fit as well in its place."""
     rows: Rows = []
     for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
         name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
-        twins, sized = listed([plain(twin) for twin in effect.twins]) or "none", sized_parameter(effect)
-        typical = "" if effect.typical is None else quantity(effect.typical.value, effect.typical.unit, 2)
-        for k, row in enumerate(parameter_rows(effect)):
-            is_sized = sized is not None and row[0] == parameter_words(sized)
-            rows.append((name if k == 0 else "", *row, typical if is_sized else "", twins if k == 0 else ""))
+        twins = listed([plain(twin) for twin in effect.twins]) or "none"
+        rows += [
+            (name if k == 0 else "", *row, twins if k == 0 else "") for k, row in enumerate(parameter_rows(effect))
+        ]
     return rows
 
 

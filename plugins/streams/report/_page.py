@@ -12,7 +12,7 @@ import numpy as np
 from orchestrator.extras import require
 from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
-from orchestrator.formatting.explaining import accuracy_sentences, search_rows
+from orchestrator.formatting.explaining import accuracy_sentences, search_legend, search_rows
 from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, map_source, plain, slots
 from orchestrator.formatting.quantities import percent, quantity
 from orchestrator.formatting.sentences import cut, listed, typographic, visible
@@ -25,7 +25,13 @@ from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures, step_pictures
 from plugins.streams.report._drive_content import drive_section
-from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
+from plugins.streams.report._motor_content import (
+    RESISTANCE_HEAD,
+    TORQUE_HEAD,
+    motor_lines,
+    resistance_rows,
+    torque_rows,
+)
 from plugins.streams.report._next_steps import next_steps
 from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
@@ -89,6 +95,8 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         typed=content.typed(material),
         now=next_steps(material),
         motor=list(motor_lines(material)),
+        resistance_head=RESISTANCE_HEAD,
+        resistances=resistance_rows(material),
         torque_head=TORQUE_HEAD,
         torque_rows=torque_rows(main, motor) if main is not None and motor is not None else [],
         summary=list(content.summary(material)),
@@ -156,6 +164,7 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
+        "search_legend": [findings.squared(line) for line in search_legend(report.search)],
         "present": "" if material.present is None else findings.step_errors(material.present),
         "pictures": (
             [*diagnosis_pictures(diagnosis, material.present), *learned_pictures(material.discovery)] if draws else []
