@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from orchestrator.formatting.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
 from orchestrator.formatting.drawing import (
-    BEFORE_COLOUR,
     CURRENT_LABELS,
     PHASES_ON_PAPER,
     STYLE,
@@ -93,6 +92,8 @@ class Panels:
     """Empty where the last model's own scale is not much finer."""
 
 
+MIN_TOP_IN_VOLT: float = 2.0
+"""Size of a scale from which it is in volts and not in millivolts."""
 ENLARGED_BELOW: float = 0.4
 """Size of the last residual over the first one's from which it is drawn on a scale of its own, too."""
 
@@ -140,10 +141,9 @@ def _cells(step: DiagnosisStep, along: int = 13) -> _Plane:
 
 def _plane(cells: _Plane, top_v: float) -> str:
     figure, axes = new_figure(STYLE.width_in, STYLE.width_in * 0.78)
-    size = 1e3 * cells.rms.T
-    mesh = axes.pcolormesh(
-        cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=1.15e3 * top_v, rasterized=True
-    )
+    unit, per_volt = _unit_of(top_v)
+    size, top = per_volt * cells.rms.T, 1.15 * per_volt * top_v
+    mesh = axes.pcolormesh(cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=top, rasterized=True)
     d, q = (0.5 * (edges[1:] + edges[:-1]) for edges in (cells.edges_d, cells.edges_q))
     grid_d, grid_q = np.meshgrid(d, q, indexing="ij")
     shown = np.hypot(*np.nan_to_num(cells.mean)) > 0.03 * top_v  # below, an arrow is a dot
@@ -160,7 +160,7 @@ def _plane(cells: _Plane, top_v: float) -> str:
         pivot="mid",
     )
     bar = figure.colorbar(mesh, ax=axes, shrink=0.95)
-    bar.set_label("rms residual [mV]", fontsize=STYLE.small_pt)
+    bar.set_label(f"rms residual [{unit}]", fontsize=STYLE.small_pt)
     bar.ax.tick_params(labelsize=STYLE.small_pt)
     current_plane(axes)
     return uri(figure)
@@ -169,7 +169,7 @@ def _plane(cells: _Plane, top_v: float) -> str:
 def phase_figures(before: DiagnosisStep, after: DiagnosisStep) -> Panels:
     """Residual of each phase over that phase's current, the three laid over each other."""
     shown = [_phases_of(step) for step in (before, after)]
-    tops = [1.15e3 * _top(np.abs(phases.residual_v).ravel(), 99.5) for phases in shown]
+    tops = [1.15 * _top_of_phases(phases) for phases in shown]
     return _panels(shown, tops, _phases, before is after)
 
 
@@ -195,9 +195,21 @@ def _is_driven(step: DiagnosisStep) -> NDArray[np.bool_]:
     return np.array([stage != "gates_off" for stage in step.stage], dtype=bool)
 
 
-def _phases(shown: _PhaseResidual, top_mv: float) -> str:
+def _top_of_phases(shown: _PhaseResidual) -> float:
+    """The size [V] that holds nearly all points, and nearly all of each other PWM frequency, which are few."""
+    rows = [np.ones(len(shown.residual_v), dtype=bool), *_other_pwm_frequencies(shown).values()]
+    return max(_top(np.abs(shown.residual_v[one]).ravel(), 99.5) for one in rows)
+
+
+def _unit_of(top_v: float) -> tuple[str, float]:
+    """The unit of a scale up to this size, and how much of it a volt is."""
+    return ("V", 1.0) if top_v >= MIN_TOP_IN_VOLT else ("mV", 1e3)
+
+
+def _phases(shown: _PhaseResidual, top_v: float) -> str:
     figure, axes = new_figure()
-    current, residual = shown.current_a, 1e3 * shown.residual_v
+    unit, per_volt = _unit_of(top_v)
+    current, residual = shown.current_a, per_volt * shown.residual_v
     for phase, colour in enumerate(PHASES_ON_PAPER):
         axes.plot(current[:, phase], residual[:, phase], ".", color=colour, ms=2.5, alpha=0.25, rasterized=True)
     for phase, (name, colour) in enumerate(zip("abc", PHASES_ON_PAPER, strict=True)):
@@ -208,8 +220,8 @@ def _phases(shown: _PhaseResidual, top_mv: float) -> str:
         of_all = current[rows].ravel(), residual[rows].ravel()
         axes.plot(*of_all, mark, color=BLACK, ms=4, mew=0.8, label=f"PWM {quantity(pwm_hz, 'Hz')}")
     axes.axhline(0.0, color=GUIDE, lw=0.8)
-    axes.set_ylim(-top_mv, top_mv)
-    name_axes(axes, "current of the phase [A]", "residual of the phase [mV]")
+    axes.set_ylim(-per_volt * top_v, per_volt * top_v)
+    name_axes(axes, "current of the phase [A]", f"residual of the phase [{unit}]")
     legend_above(axes, 4)
     return uri(figure)
 
@@ -395,20 +407,18 @@ def _sweep(excerpt: CurrentExcerpt, top_a: float) -> str:
     return uri(figure)
 
 
-def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> str:
+def heat_figures(before: ResistanceCourse | None, after: ResistanceCourse) -> Panels:
     """What each dwell asks for as R_s over the heat put into the winding, and the model's R_s."""
+    return Panels(*(_heat(one) for one in (before, after) if one is not None))
+
+
+def _heat(course: ResistanceCourse) -> str:
     figure, axes = new_figure()
-    if before is not None:
-        axes.plot(
-            1e-3 * before.heat_j, before.measured_ohm, "x", color=BEFORE_COLOUR, ms=4, label="dwells, first model"
-        )
-    heat = 1e-3 * course.heat_j
-    axes.plot(heat, course.measured_ohm, "o", color=BLACK, ms=4, label="dwells")
-    # Columns are filled one after the other: the model's curves are the second.
-    order = np.argsort(heat)
+    heat, order = 1e-3 * course.heat_j, np.argsort(course.heat_j)
+    axes.plot(heat, course.measured_ohm, "o", color=BLACK, ms=4, label="holds and injection points")
     axes.plot(heat[order], course.model_ohm[order], "-", color=MODEL, lw=1.5, label="model")
     name_axes(axes, "heat put into the winding [kJ]", r"$R_s$ [$\Omega$]")
-    legend_above(axes, 3)
+    legend_above(axes, 2)
     return uri(figure)
 
 

@@ -114,13 +114,12 @@ def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
     steps = {"before": before} if before is after else {"before": before, "after": after}
     is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
     meaning = "Where the phases fall together on one odd curve, the inverter is at fault."
+    hidden = "A star connection hides the voltage that all three have in common"
     if not any(is_one_curve.values()):
-        return f"What the three have in common a star connection hides: it is not drawn. {meaning}"
-    where = "" if len(set(is_one_curve.values())) == 1 else " before" if is_one_curve["before"] else " after"
-    return (
-        f"What the three have in common a star connection hides: it is put back{where} by the one curve of the "
-        f"phase's current that explains most of the residual. {meaning}"
-    )
+        return f"{hidden}; it is not drawn. {meaning}"
+    which = next(name for name, is_one in is_one_curve.items() if is_one)
+    where = "" if len(set(is_one_curve.values())) == 1 else f" in the picture {which}"
+    return f"{hidden}; it is put back{where}, by the one curve that explains most of the residual. {meaning}"
 
 
 def _pwm(step: DiagnosisStep) -> str:
@@ -180,10 +179,10 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
             caption = f"{caption} {_below('simulated', errors, is_one)}"
             yield Picture("A sweep, measured and simulated", caption, panels.before, panels.after)
     if after.resistance is not None and len(after.resistance.time_s) > 1:
-        grey = "" if is_one else " Grey: by the first model."
-        caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{grey}"
-        uri = figures.heat_figure(after.resistance, None if is_one else before.resistance)
-        yield Picture("R_s against the heat", caption, uri)
+        panels = figures.heat_figures(None if is_one else before.resistance, after.resistance)
+        scale = "" if is_one else " Each on a scale of its own."
+        caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{scale}"
+        yield Picture("R_s against the heat", caption, panels.before, panels.after)
 
 
 def _below(what: str, errors: Sequence[str], is_one: bool) -> str:

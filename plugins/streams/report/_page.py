@@ -208,7 +208,9 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
 
 def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     """R_s, fluxes and inductances; each says for itself why it is not drawn."""
-    yield _resistance_picture(material)
+    is_estimated = content.is_estimated(material)
+    if is_estimated or material.readings:
+        yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
         known = {m: grid for m, grid in material.maps.items() if np.isfinite(grid.psi_d).any()}
@@ -219,7 +221,8 @@ def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Pi
             held = means[:, "dq".index(other)] if len(means) else None
             caption = _methods_in_words(known) + _reach(means, known, axis)
             yield Picture(title, caption, figures.flux_figure(known, axis, held))
-    yield _difference_picture(material)
+    if is_estimated:
+        yield _difference_picture(material)
     for name, title in INDUCTANCES.items():
         if main is None or not np.isfinite(getattr(main, name)).any():
             why = (
@@ -271,12 +274,7 @@ def _resistance_picture(material: Material) -> Picture:
     title, readings = "R_s over the run", material.readings
     estimate = material.estimates.resistance if material.estimates is not None else None
     if not readings:
-        why = (
-            content.why_no_map(material)
-            if not content.is_estimated(material)
-            else "there are no single readings over time"
-        )
-        return Picture(title, f"Not drawn: {why}.")
+        return Picture(title, "Not drawn: there are no single readings over time.")
     values = [r.value_ohm for r in readings]
     interval = (min(values), max(values)) if estimate is None else (estimate.low, estimate.high)
     motor = content.motor_of(material)
@@ -303,8 +301,6 @@ def _difference_picture(material: Material) -> Picture:
     bases = (Basis.INTEGRATION, Basis.INJECTION)
     classical, injection = (_first_by(basis, material.maps) for basis in bases)
     if classical is None or injection is None:
-        if not content.is_estimated(material):
-            return Picture(title, f"Not drawn: {content.why_no_map(material)}.")
         missing = listed([one.value for one, grid in zip(bases, (classical, injection), strict=True) if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
