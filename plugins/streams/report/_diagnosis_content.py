@@ -117,7 +117,7 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
 def leftover_text(diagnosis: SavedDiagnosis) -> str:
     """How much of the error is left."""
     fraction = diagnosis.report.unexplained.fraction
-    return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error, beyond the noise, is left."
+    return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error is left beyond the noise."
 
 
 def experiment(diagnosis: SavedDiagnosis) -> Experiment | None:

@@ -298,10 +298,10 @@ def _band(estimate: ResistanceEstimate | None) -> str:
 
 def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
-    bases = (Basis.INTEGRATION, Basis.INJECTION)
-    classical, injection = (_first_by(basis, material.maps) for basis in bases)
+    classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
-        missing = listed([one.value for one, grid in zip(bases, (classical, injection), strict=True) if grid is None])
+        maps = {"classical": classical, "injection": injection}
+        missing = listed([name for name, grid in maps.items() if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))
