@@ -57,11 +57,11 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
     return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
 
 
-def step_errors(step: DiagnosisStep) -> str:
-    """The error of one model beside the noise."""
-    error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
+def step_errors(step: DiagnosisStep, *, with_noise: bool = True) -> str:
+    """The error of one model, beside the noise that its windows of the recording leave."""
+    error, noise = quantity(step.rms_v, "V"), f", noise floor {quantity(step.noise_rms_v, 'V')}" if with_noise else ""
     held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
-    return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"
+    return f"error {error} rms{held_out}{noise}, χ² {number(step.chi2)} per degree of freedom"
 
 
 def signature_rows() -> Rows:

@@ -54,7 +54,7 @@ def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
-    whole = f"The {len(order)} effects of the library that this recording can show, fitted at once"
+    whole = f"The {len(order)} effects of the library that this recording can tell apart, fitted at once"
     drawn = f"; drawn are those added and then the surest, {most} in all" if len(order) > most else ""
     caption = (
         f"{whole}{drawn}. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. Filled: added "

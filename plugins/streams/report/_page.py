@@ -184,7 +184,8 @@ def _bare(material: Material) -> dict[str, Any] | None:
     if material.bare is None:
         return None
     return {
-        "errors": findings.step_errors(material.bare),
+        # The floor depends on the model a little: two of them would be one too many.
+        "errors": findings.step_errors(material.bare, with_noise=material.present is None),
         "present": "" if material.present is None else findings.step_errors(material.present),
         "modelled": listed([plain(name) for name in material.modelled]),
         "pictures": list(step_pictures(material.bare, material.present or material.bare)),
