@@ -344,12 +344,12 @@ def _map_lines(material: Material) -> Iterator[Line]:
     if report is None or report.method is None:
         yield Line("Flux map", why_no_map(material))
         return
+    use, kind = _USES[report.usability]
     if not is_estimated(material):
-        yield Line("Flux map", f"of model.json alone, as drawn below; the estimators’ maps are {why_no_map(material)}")
+        yield Line("Flux map", f"{use}: that of model.json; the estimators’ are {why_no_map(material)}", kind)
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
-    use, kind = _USES[report.usability]
     yield Line("Flux map", f"{use}: {map_source(report.method)}{size}", kind)
     if not report.usable:
         for place, remark in enumerate(report.remarks[:3]):
