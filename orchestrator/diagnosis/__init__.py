@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.fitting.workers import workers_here
 from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
-from orchestrator.diagnosis.reporting.explanation import explanation_of, model_changes
+from orchestrator.diagnosis.reporting.explanation import explanation_of, model_changes, removed_effects
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
@@ -48,6 +48,7 @@ __all__ = [
     "model_changes",
     "model_step",
     "remove_effect",
+    "removed_effects",
     "require_known",
     "save_diagnosis",
     "simulated_current",

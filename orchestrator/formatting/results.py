@@ -51,10 +51,11 @@ PART_MEANING = (
     "100 %, as each is of the kind of stage where it is largest"
 )
 REFIT_MEANING = (
-    "`add` and `remove` keep the noise, the map grid and the effects' forms of model.json, which a diagnosis chooses "
-    "anew. While an effect is missing, an added one's form takes up a part of it, so that chi2 of the same names may "
-    "be several times another before and after a diagnosis"
+    "chi2 differs from that of the same effects in the diagnosis: `add` and `remove` keep the map grid and the "
+    "effects' forms that the whole model had, a diagnosis chooses them at each step"
 )
+MIN_CHI2_RATIO_TO_NOTE: float = 1.1
+"""Ratio of two values of chi2 of the same effects from which a refit says why they differ."""
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
     "needed": "add", "not_needed": None,
@@ -64,6 +65,7 @@ BENEFITS = frozenset(UNDONE_BY)
 USABILITY_WORDS = {
     Usability.USABLE: "usable", Usability.NOT_USABLE: "not reliable", Usability.NOT_JUDGED: "not judged"
 }  # fmt: skip
+UNCHANGED = "unchanged over the recording"
 _ENDS = ["in the first segment", "in the last"]
 
 
@@ -80,7 +82,7 @@ def resistance_course(estimate: ResistanceEstimate) -> str:
     scale = Scale.of(estimate.value_ohm, estimate.low, estimate.high, "ohm")
     first, last = ((scale.quantity(r), quantity(r, "ohm", 4)) for r in (estimate.first_ohm, estimate.last_ohm))
     if first == last:
-        return "unchanged over the recording"
+        return UNCHANGED
     ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
@@ -98,6 +100,13 @@ def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
         ("classical against injection", percent(report.classical_against_injection_percent), ""),
     ):
         yield label, text if text == UNKNOWN else text + suffix
+
+
+def has_other_chi2(ladder: Sequence[Rung], diagnosed: Sequence[Rung]) -> bool:
+    """Whether a refit's chi2 differs from the diagnosis' for the same effects."""
+    known = {frozenset(rung.effects): rung.chi2 for rung in diagnosed}
+    pairs = [(rung.chi2, known.get(frozenset(rung.effects))) for rung in ladder]
+    return any(a and b and max(a / b, b / a) > MIN_CHI2_RATIO_TO_NOTE for a, b in pairs)
 
 
 def usability_rows(report: EstimatorsReport) -> list[tuple[str, str, str, str]]:

@@ -40,14 +40,25 @@ def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> 
 
 def model_changes(report: DiagnosisReport, model: MotorModel) -> tuple[str, ...]:
     """Effects that were added to a diagnosed model since, or removed: ``+ dead time (does not help)``."""
-    rungs, record = report.ladder, report.verdict_record
-    before = (rungs[-1].effects if rungs else ()) or tuple(record.effect_widths if record is not None else ())
-    if {effect.name for effect in report.effects} - {*before, *MAP_RUNGS}:
-        return ()  # a file of an older version does not have them
-    names = [effect.name for effect in model.effects]
+    before, names = _diagnosed_effects(report), [effect.name for effect in model.effects]
+    if before is None:
+        return ()
     useless = {effect.name for effect in model.effects if effect.helps is False}
     added = [f"+ {plain(n)}{' (does not help)' * (n in useless)}" for n in names if n not in before]
     return (*added, *(f"− {plain(n)}" for n in before if n not in names))
+
+
+def removed_effects(report: DiagnosisReport, model: MotorModel) -> tuple[str, ...]:
+    """Names of the diagnosis' effects that the model lacks."""
+    names = {effect.name for effect in model.effects}
+    return tuple(name for name in _diagnosed_effects(report) or () if name not in names)
+
+
+def _diagnosed_effects(report: DiagnosisReport) -> tuple[str, ...] | None:
+    """The effects of the diagnosed model; None of a file of an older version, which does not have them."""
+    rungs, record = report.ladder, report.verdict_record
+    before = (rungs[-1].effects if rungs else ()) or tuple(record.effect_widths if record is not None else ())
+    return None if {effect.name for effect in report.effects} - {*before, *MAP_RUNGS} else before
 
 
 def _supports(event: SearchEvent, name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -129,6 +130,17 @@ def _clarke_of_three(path: Path) -> bool | None:
     return None if capture.i_abc is None else clarke_of_three(capture.i_ab, capture.i_abc)
 
 
+def _way_to_a_usable_map(path: Path) -> str:
+    """The command that makes the map usable again after `remove`, else the one that looks for the cause."""
+    from orchestrator.diagnosis import load_diagnosis, removed_effects
+
+    place, saved = shlex.quote(str(path)), load_diagnosis(path)
+    removed = removed_effects(saved.report, read_model(path)) if saved is not None and has_model(path) else ()
+    if removed:
+        return f"`fluxbench add {place} {' '.join(removed)}` puts back what was removed since the diagnosis"
+    return f"`fluxbench diagnose {place}` looks for the cause"
+
+
 def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | None, list[Remark]]:
     """The manifest, the diagnosed model and the standard deviation of R_s [ohm], where a folder has them; remarks."""
     from orchestrator.estimation import load_estimates
@@ -139,7 +151,7 @@ def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | No
     estimates = load_estimates(path)
     if estimates.usability is Usability.NOT_USABLE:
         why = next((check.remark.text for check in estimates.checks if not check.is_met), "a check failed")
-        raise InputError(str(path), "flux map", f"not usable: {why}; `fluxbench diagnose {path}` looks for the cause")
+        raise InputError(str(path), "flux map", f"not usable: {why}; {_way_to_a_usable_map(path)}")
     resistance = estimates.resistance
     std = None if resistance is None else (resistance.high - resistance.low) / 3.92
     model, remarks = read_model(path) if has_model(path) else None, []

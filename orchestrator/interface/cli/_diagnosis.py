@@ -19,6 +19,7 @@ from orchestrator.formatting.results import (
     NOISE_FLOOR_MEANING,
     REFIT_MEANING,
     benefit_line,
+    has_other_chi2,
     ladder_rows,
     parameter_rows,
     resistance,
@@ -176,6 +177,8 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
 
 
 def _print_refit(report: AddReport, path: Path, effects: Path | None, out: Path | None, as_json: bool) -> None:
+    from orchestrator.diagnosis import load_diagnosis
+
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return
@@ -185,7 +188,8 @@ def _print_refit(report: AddReport, path: Path, effects: Path | None, out: Path 
     run = shlex.quote(str(path))
     say("", *(benefit_line(remark, run, options) for remark in report.remarks if remark.code in BENEFITS))
     say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
-    if not any(remark.code == "in_model" for remark in report.remarks):
+    diagnosed = load_diagnosis(path)
+    if diagnosed is not None and has_other_chi2(report.ladder, diagnosed.report.ladder):
         say_notes([REFIT_MEANING])
     if out is None:
         say(f"model: {path / 'model.json'}")

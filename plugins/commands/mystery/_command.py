@@ -109,6 +109,8 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
         _print_line("A size may follow a name (NAME=800mV, or a number in SI).")
+        _print_line("See whether the error falls with your guess in the model; the report then shows before and after:")
+        _print_line(f"  fluxbench add {path} NAME")
         _print_line("What the diagnosis finds, which gives most of it away; --reveal prints what is hidden:")
         _print_line(f"  fluxbench diagnose {path}")
     return 0

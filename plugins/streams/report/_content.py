@@ -15,6 +15,7 @@ from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_C
 from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows
 from orchestrator.formatting.sentences import listed, typographic
+from orchestrator.numerics.tables import cubic_value_at
 from plugins.streams.report._collect import Material
 from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage, Usability
 
@@ -262,9 +263,8 @@ def map_rows(grid: FluxMap, motor: Motor | None) -> list[list[str]]:
     rows: list[list[str]] = []
     for i_d in (-size, 0.0, size):
         for i_q in (-size, 0.0, size):
-            d, q = int(np.abs(grid.i_d - i_d).argmin()), int(np.abs(grid.i_q - i_q).argmin())
-            point = [fixed(float(grid.i_d[d]), 2), fixed(float(grid.i_q[q]), 2)]
-            row = point + [_with_error(grid, name, d, q) for name in MAP_QUANTITIES]
+            point = [fixed(i_d, 2), fixed(i_q, 2)]
+            row = point + [_with_error(grid, name, i_d, i_q) for name in MAP_QUANTITIES]
             if row not in rows:
                 rows.append(row)
     return rows
@@ -344,12 +344,12 @@ def _map_lines(material: Material) -> Iterator[Line]:
     if report is None or report.method is None:
         yield Line("Flux map", why_no_map(material))
         return
+    use, kind = _USES[report.usability]
     if not is_estimated(material):
-        yield Line("Flux map", f"of model.json alone, as drawn below; the estimators’ maps are {why_no_map(material)}")
+        yield Line("Flux map", f"{use}: that of model.json; the estimators’ are {why_no_map(material)}", kind)
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
-    use, kind = _USES[report.usability]
     yield Line("Flux map", f"{use}: {map_source(report.method)}{size}", kind)
     if not report.usable:
         for place, remark in enumerate(report.remarks[:3]):
@@ -373,10 +373,12 @@ def inductance_line(material: Material) -> Iterator[Line]:
     yield Line("Inductances", "; ".join(ranges))
 
 
-def _with_error(grid: FluxMap, name: str, d: int, q: int) -> str:
-    """Value and 95 % uncertainty in thousandths of the unit."""
-    value, std = (float(getattr(grid, key)[d, q]) for key in (name, f"{name}_std"))
-    return with_error(value, 1.96 * std, -3) if np.isfinite(value) else NOT_MEASURED
+def _with_error(grid: FluxMap, name: str, i_d: float, i_q: float) -> str:
+    """Value and 95 % uncertainty in thousandths of the unit; not beyond the measured node nearest to it."""
+    nearest = int(np.abs(grid.i_d - i_d).argmin()), int(np.abs(grid.i_q - i_q).argmin())
+    axes, table, std = (grid.i_d, grid.i_q), getattr(grid, name), getattr(grid, f"{name}_std")
+    value = cubic_value_at(axes, table, i_d, i_q) if np.isfinite(table[nearest]) else None
+    return NOT_MEASURED if value is None else with_error(value, 1.96 * float(std[nearest]), -3)
 
 
 def date(text: str) -> str:

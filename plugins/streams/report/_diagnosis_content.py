@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
-from orchestrator.formatting.results import joint_bound, parameter_rows, sized_parameter, trace_words
+from orchestrator.formatting.results import joint_bound, parameter_rows, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
@@ -57,11 +57,11 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
     return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
 
 
-def step_errors(step: DiagnosisStep) -> str:
-    """The error of one model beside the noise."""
-    error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
+def step_errors(step: DiagnosisStep, *, with_noise: bool = True) -> str:
+    """The error of one model, beside the noise that its windows of the recording leave."""
+    error, noise = quantity(step.rms_v, "V"), f", noise floor {quantity(step.noise_rms_v, 'V')}" if with_noise else ""
     held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
-    return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"
+    return f"error {error} rms{held_out}{noise}, χ² {number(step.chi2)} per degree of freedom"
 
 
 def signature_rows() -> Rows:
@@ -80,15 +80,14 @@ def signature_rows() -> Rows:
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
-    """Every parameter of every effect: value, interval, typical size; and the effects that fit as well in its place."""
+    """Every parameter of every effect with value and interval, and the effects that fit as well in its place."""
     rows: Rows = []
     for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
         name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
-        twins, sized = listed([plain(twin) for twin in effect.twins]) or "none", sized_parameter(effect)
-        typical = "" if effect.typical is None else quantity(effect.typical.value, effect.typical.unit, 2)
-        for k, row in enumerate(parameter_rows(effect)):
-            is_sized = sized is not None and row[0] == parameter_words(sized)
-            rows.append((name if k == 0 else "", *row, typical if is_sized else "", twins if k == 0 else ""))
+        twins = listed([plain(twin) for twin in effect.twins]) or "none"
+        rows += [
+            (name if k == 0 else "", *row, twins if k == 0 else "") for k, row in enumerate(parameter_rows(effect))
+        ]
     return rows
 
 
@@ -118,7 +117,7 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
 def leftover_text(diagnosis: SavedDiagnosis) -> str:
     """How much of the error is left."""
     fraction = diagnosis.report.unexplained.fraction
-    return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error, beyond the noise, is left."
+    return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error is left beyond the noise."
 
 
 def experiment(diagnosis: SavedDiagnosis) -> Experiment | None:

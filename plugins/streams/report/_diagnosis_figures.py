@@ -1,6 +1,6 @@
 """The diagnosis in pictures: the ladder, the residual before and after, ripple, flux loops, R_s over the heat.
 
-Black is measured, vermilion is what the model with its effects says, grey is the model that the ladder starts from.
+Black is measured, vermilion is what the model says. Before and after stand side by side.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from orchestrator.formatting.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
 from orchestrator.formatting.drawing import (
-    BEFORE_COLOUR,
     CURRENT_LABELS,
     PHASES_ON_PAPER,
     STYLE,
@@ -84,7 +83,7 @@ class _Plane:
 
 @dataclass(frozen=True)
 class Panels:
-    """The same drawn of the first model and of the last: both on the first one's scale, and the last on its own."""
+    """The same drawn of the first model and of the last."""
 
     before: str
     after: str = ""
@@ -93,6 +92,8 @@ class Panels:
     """Empty where the last model's own scale is not much finer."""
 
 
+MIN_TOP_IN_VOLT: float = 2.0
+"""Size of a scale from which it is in volts and not in millivolts."""
 ENLARGED_BELOW: float = 0.4
 """Size of the last residual over the first one's from which it is drawn on a scale of its own, too."""
 
@@ -140,10 +141,9 @@ def _cells(step: DiagnosisStep, along: int = 13) -> _Plane:
 
 def _plane(cells: _Plane, top_v: float) -> str:
     figure, axes = new_figure(STYLE.width_in, STYLE.width_in * 0.78)
-    size = 1e3 * cells.rms.T
-    mesh = axes.pcolormesh(
-        cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=1.15e3 * top_v, rasterized=True
-    )
+    unit, per_volt = _unit_of(top_v)
+    size, top = per_volt * cells.rms.T, 1.15 * per_volt * top_v
+    mesh = axes.pcolormesh(cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=top, rasterized=True)
     d, q = (0.5 * (edges[1:] + edges[:-1]) for edges in (cells.edges_d, cells.edges_q))
     grid_d, grid_q = np.meshgrid(d, q, indexing="ij")
     shown = np.hypot(*np.nan_to_num(cells.mean)) > 0.03 * top_v  # below, an arrow is a dot
@@ -160,7 +160,7 @@ def _plane(cells: _Plane, top_v: float) -> str:
         pivot="mid",
     )
     bar = figure.colorbar(mesh, ax=axes, shrink=0.95)
-    bar.set_label("rms residual [mV]", fontsize=STYLE.small_pt)
+    bar.set_label(f"rms residual [{unit}]", fontsize=STYLE.small_pt)
     bar.ax.tick_params(labelsize=STYLE.small_pt)
     current_plane(axes)
     return uri(figure)
@@ -169,7 +169,7 @@ def _plane(cells: _Plane, top_v: float) -> str:
 def phase_figures(before: DiagnosisStep, after: DiagnosisStep) -> Panels:
     """Residual of each phase over that phase's current, the three laid over each other."""
     shown = [_phases_of(step) for step in (before, after)]
-    tops = [1.15e3 * _top(np.abs(phases.residual_v).ravel(), 99.5) for phases in shown]
+    tops = [1.15 * _top_of_phases(phases) for phases in shown]
     return _panels(shown, tops, _phases, before is after)
 
 
@@ -195,9 +195,21 @@ def _is_driven(step: DiagnosisStep) -> NDArray[np.bool_]:
     return np.array([stage != "gates_off" for stage in step.stage], dtype=bool)
 
 
-def _phases(shown: _PhaseResidual, top_mv: float) -> str:
+def _top_of_phases(shown: _PhaseResidual) -> float:
+    """The size [V] that holds nearly all points, and nearly all of each other PWM frequency, which are few."""
+    rows = [np.ones(len(shown.residual_v), dtype=bool), *_other_pwm_frequencies(shown).values()]
+    return max(_top(np.abs(shown.residual_v[one]).ravel(), 99.5) for one in rows)
+
+
+def _unit_of(top_v: float) -> tuple[str, float]:
+    """The unit of a scale up to this size, and how much of it a volt is."""
+    return ("V", 1.0) if top_v >= MIN_TOP_IN_VOLT else ("mV", 1e3)
+
+
+def _phases(shown: _PhaseResidual, top_v: float) -> str:
     figure, axes = new_figure()
-    current, residual = shown.current_a, 1e3 * shown.residual_v
+    unit, per_volt = _unit_of(top_v)
+    current, residual = shown.current_a, per_volt * shown.residual_v
     for phase, colour in enumerate(PHASES_ON_PAPER):
         axes.plot(current[:, phase], residual[:, phase], ".", color=colour, ms=2.5, alpha=0.25, rasterized=True)
     for phase, (name, colour) in enumerate(zip("abc", PHASES_ON_PAPER, strict=True)):
@@ -208,8 +220,8 @@ def _phases(shown: _PhaseResidual, top_mv: float) -> str:
         of_all = current[rows].ravel(), residual[rows].ravel()
         axes.plot(*of_all, mark, color=BLACK, ms=4, mew=0.8, label=f"PWM {quantity(pwm_hz, 'Hz')}")
     axes.axhline(0.0, color=GUIDE, lw=0.8)
-    axes.set_ylim(-top_mv, top_mv)
-    name_axes(axes, "current of the phase [A]", "residual of the phase [mV]")
+    axes.set_ylim(-per_volt * top_v, per_volt * top_v)
+    name_axes(axes, "current of the phase [A]", f"residual of the phase [{unit}]")
     legend_above(axes, 4)
     return uri(figure)
 
@@ -266,30 +278,46 @@ def _medians(x: RealArray, y: RealArray) -> tuple[RealArray, RealArray]:
     )
 
 
-def loop_figure(before: FluxLoop | None, after: FluxLoop) -> str:
+def loop_figures(before: FluxLoop | None, after: FluxLoop) -> Panels:
     """Flux over current of one sweep; below, what was measured less what the map says, going up and down."""
-    figure, above, below = _two_panels()
+    loops = [after] if before is None else [before, after]
     which = 0 if after.swept_axis == "d" else 1
-    axis = "dq"[which]
-    current = after.i_dq[:, which]
-    measured, model = (1e3 * (psi[:, which] - psi[:, which].mean()) for psi in (after.psi_measured, after.psi_model))
+    top = 1.05 * max(
+        np.abs(_about_mean(psi, which)).max() for one in loops for psi in (one.psi_measured, one.psi_model)
+    )
+    return Panels(*(_loop(one, which, top) for one in loops))
+
+
+def loop_error(loop: FluxLoop) -> float:
+    """rms of measured less model along the swept axis [mWb]."""
+    return _rms(_about_mean(loop.psi_measured - loop.psi_model, 0 if loop.swept_axis == "d" else 1))
+
+
+def _loop(loop: FluxLoop, which: int, top_mwb: float) -> str:
+    figure, above, below = _two_panels()
+    axis, current, rising = "dq"[which], loop.i_dq[:, which], _rising(loop.i_dq[:, which])
+    measured, model = (_about_mean(psi, which) for psi in (loop.psi_measured, loop.psi_model))
     above.plot(current, measured, "-", color=BLACK, lw=2.4, label="measured, $\\int (v - R_s i)\\,dt$")
     above.plot(current, model, "--", color=MODEL, lw=1.4, label="model")
+    above.set_ylim(-top_mwb, top_mwb)
     name_axes(above, "", rf"$\psi_{axis}$ [mWb]")
     legend_above(above, 2)
-    rising = _rising(current)
-    shown = [(after, MODEL, "this model")]
-    if before is not None:
-        shown = [(before, BEFORE_COLOUR, "first model"), (after, MODEL, "this model")]
-    for loop, colour, name in shown:
-        apart = 1e3 * (loop.psi_measured - loop.psi_model)[:, which]
-        apart = apart - apart.mean()
-        below.plot(current[rising], apart[rising], ".", color=colour, ms=3.5, label=f"{name}: up")
-        below.plot(current[~rising], apart[~rising], "o", color=colour, ms=3.0, mfc="none", mew=0.7, label="down")
+    apart = _about_mean(loop.psi_measured - loop.psi_model, which)
+    below.plot(current[rising], apart[rising], ".", color=MODEL, ms=3.5, label="current rising")
+    below.plot(current[~rising], apart[~rising], "o", color=MODEL, ms=3.0, mfc="none", mew=0.7, label="falling")
     name_axes(below, CURRENT_LABELS[axis], "measured less\nmodel [mWb]")
     handles, names = below.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
+    figure.legend(handles, names, loc="outside lower center", ncols=2, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
+
+
+def _about_mean(psi: RealArray, which: int) -> RealArray:
+    """One axis of a flux about its mean [mWb]: an integral knows no constant."""
+    return np.asarray(1e3 * (psi[:, which] - psi[:, which].mean()))
+
+
+def _rms(x: RealArray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
 
 
 def _rising(current: RealArray) -> Any:
@@ -302,8 +330,19 @@ def _rising(current: RealArray) -> Any:
     return sign[last] > 0.0
 
 
-def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentExcerpt]) -> str:
+def ripple_figures(before: Sequence[CurrentExcerpt], after: Sequence[CurrentExcerpt]) -> Panels:
     """Ripple of i_d per volt injected, two amplitudes over each other; below, measured less predicted."""
+    shown = [after] if not before else [before, after]
+    top = 1.1 * max(float(np.abs(ripple).max()) for excerpts in shown for one in excerpts for ripple in _ripples(one))
+    return Panels(*(_ripple(excerpts, top) for excerpts in shown))
+
+
+def ripple_error(excerpts: Sequence[CurrentExcerpt]) -> float:
+    """rms of measured less predicted, over all amplitudes [mA/V]."""
+    return _rms(np.concatenate([measured - predicted for measured, predicted in map(_ripples, excerpts)]))
+
+
+def _ripple(excerpts: Sequence[CurrentExcerpt], top: float) -> str:
     figure, above, below = _two_panels()
     styles = (("s", "none", "--"), ("o", BLACK, "-")) if len(excerpts) > 1 else (("o", BLACK, "-"),)
     for excerpt, (mark, fill, line) in zip(excerpts, styles, strict=True):
@@ -312,19 +351,13 @@ def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentEx
         above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {volts}")
         above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {volts}")
         below.plot(time, measured - predicted, line, color=MODEL, lw=1.3)
-    for excerpt, (_, _, line) in zip(before, styles, strict=False):
-        measured, predicted = _ripples(excerpt)
-        name = f"model before, {excerpt.amplitude_v or 1.0:g} V"
-        below.plot(1e3 * excerpt.time_s, measured - predicted, line, color=BEFORE_COLOUR, lw=1.3, zorder=0, label=name)
+    above.set_ylim(-top, top)
     name_axes(above, "", "ripple of $i_d$ [mA/V]")
     handles, names = above.get_legend_handles_labels()
     # Columns are filled one after the other: the model's curves are the second.
     order = np.argsort([name.startswith("model") for name in names], kind="stable")
     legend_above(above, 2, [handles[k] for k in order], [names[k] for k in order])
     name_axes(below, "time [ms]", "measured less\nmodel [mA/V]")
-    if before:
-        figure.legend(loc="outside lower center", ncols=2, frameon=False, fontsize=STYLE.small_pt, **_TIGHT,
-                      handles=below.get_legend_handles_labels()[0])  # fmt: skip
     return uri(figure)
 
 
@@ -344,40 +377,48 @@ def _two_panels() -> tuple[Figure, Axes, Axes]:
     return figure, bare(above), bare(below)
 
 
-def trapezoid_figure(excerpt: CurrentExcerpt, before: CurrentExcerpt | None) -> str:
+def sweep_figures(before: CurrentExcerpt | None, after: CurrentExcerpt) -> Panels:
     """Both currents of a sweep, measured and simulated from the voltage alone; below, what the simulation misses."""
+    shown = [after] if before is None else [before, after]
+    top = 1.1 * max(float(np.abs(i).max()) for one in shown for i in (one.measured_a, one.predicted_a))
+    return Panels(*(_sweep(one, top) for one in shown))
+
+
+def sweep_error(excerpt: CurrentExcerpt) -> float:
+    """rms of measured less simulated, both axes together as a vector [A]."""
+    return float(np.sqrt(2.0)) * _rms(excerpt.measured_a - excerpt.predicted_a)
+
+
+def _sweep(excerpt: CurrentExcerpt, top_a: float) -> str:
     figure, above, below = _two_panels()
     time, styles = excerpt.time_s, ((4.5, "-"), (1.8, "--"))  # where both currents are one, both are still seen
     for axis, (colour, (width, line)) in enumerate(zip((D_AXIS, Q_AXIS), styles, strict=True)):
         name = f"$i_{'dq'[axis]}$"
         above.plot(time, excerpt.measured_a[:, axis], "-", color=colour, lw=width, label=f"{name} measured")
         above.plot(time, excerpt.predicted_a[:, axis], ":", color=BLACK, lw=1.0, label=None if axis else "simulated")
-        for shown, line_colour, of in ((before, BEFORE_COLOUR, ", first model"), (excerpt, colour, "")):
-            if shown is not None:
-                apart = 1e3 * (shown.measured_a - shown.predicted_a)[:, axis]
-                below.plot(time, apart, line, color=line_colour, lw=1.2, label=f"{name}{of}")
+        apart = 1e3 * (excerpt.measured_a - excerpt.predicted_a)[:, axis]
+        below.plot(time, apart, line, color=colour, lw=1.2, label=name)
+    above.set_ylim(-top_a, top_a)
     name_axes(above, "", "current [A]")
     legend_above(above, 3)
     name_axes(below, "time [s]", "measured less\nsimulated [mA]")
     handles, names = below.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
+    figure.legend(handles, names, loc="outside lower center", ncols=2, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
 
 
-def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> str:
+def heat_figures(before: ResistanceCourse | None, after: ResistanceCourse) -> Panels:
     """What each dwell asks for as R_s over the heat put into the winding, and the model's R_s."""
+    return Panels(*(_heat(one) for one in (before, after) if one is not None))
+
+
+def _heat(course: ResistanceCourse) -> str:
     figure, axes = new_figure()
-    if before is not None:
-        axes.plot(
-            1e-3 * before.heat_j, before.measured_ohm, "x", color=BEFORE_COLOUR, ms=4, label="dwells, first model"
-        )
-    heat = 1e-3 * course.heat_j
-    axes.plot(heat, course.measured_ohm, "o", color=BLACK, ms=4, label="dwells")
-    # Columns are filled one after the other: the model's curves are the second.
-    order = np.argsort(heat)
+    heat, order = 1e-3 * course.heat_j, np.argsort(course.heat_j)
+    axes.plot(heat, course.measured_ohm, "o", color=BLACK, ms=4, label="holds and injection points")
     axes.plot(heat[order], course.model_ohm[order], "-", color=MODEL, lw=1.5, label="model")
     name_axes(axes, "heat put into the winding [kJ]", r"$R_s$ [$\Omega$]")
-    legend_above(axes, 3)
+    legend_above(axes, 2)
     return uri(figure)
 
 

@@ -14,10 +14,8 @@ from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._content import Picture
+from plugins.streams.report._motor_content import SAME_RESISTANCE_RATIO
 from protocols import CurrentExcerpt, DiagnosisReport, DiagnosisStep
-
-SAME_RESISTANCE_RATIO: float = 0.005
-"""Change of R_s between two models below which it hides nothing that a picture shows."""
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -56,7 +54,7 @@ def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
-    whole = f"All {len(order)} effects fitted at once"
+    whole = f"The {len(order)} effects of the library that this recording can tell apart, fitted at once"
     drawn = f"; drawn are those added and then the surest, {most} in all" if len(order) > most else ""
     caption = (
         f"{whole}{drawn}. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. Filled: added "
@@ -116,11 +114,12 @@ def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
     steps = {"before": before} if before is after else {"before": before, "after": after}
     is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
     meaning = "Where the phases fall together on one odd curve, the inverter is at fault."
-    hidden = "the zero sequence, which a star connection hides,"
+    hidden = "A star connection hides the voltage that all three have in common"
     if not any(is_one_curve.values()):
-        return f"No one curve explains half of the residual: {hidden} is not drawn. {meaning}"
-    where = "" if len(set(is_one_curve.values())) == 1 else " before" if is_one_curve["before"] else " after"
-    return f"One curve for all three explains most of the residual{where}: {hidden} is put back by it there. {meaning}"
+        return f"{hidden}; it is not drawn. {meaning}"
+    which = next(name for name, is_one in is_one_curve.items() if is_one)
+    where = "" if len(set(is_one_curve.values())) == 1 else f" in the picture {which}"
+    return f"{hidden}; it is put back{where}, by the one curve that explains most of the residual. {meaning}"
 
 
 def _pwm(step: DiagnosisStep) -> str:
@@ -138,15 +137,17 @@ def _pwm(step: DiagnosisStep) -> str:
 def _hidden_in_resistance(before: DiagnosisStep, after: DiagnosisStep) -> str:
     """What R_s, which is fitted too, takes of a residual along the current."""
     fitted = [_resistance_ohm(step) for step in (before, after)]
-    tilt = "a step less that line is a sawtooth."
     if fitted[0] is None or fitted[1] is None:
         return ""
     if before is after:
-        return f"R_s, here {quantity(fitted[0], 'ohm', 4)}, is fitted and takes what grows like R i: {tilt}"
+        return "R_s is fitted too and takes up what is proportional to the current: a step is left as a sawtooth."
     if abs(fitted[0] / fitted[1] - 1.0) < SAME_RESISTANCE_RATIO:
         return ""
-    first, last, more = (quantity(one, "ohm", 4) for one in (*fitted, fitted[0] - fitted[1]))
-    return f"The model before has R_s {first}, the one after {last}. Before, {more} times i is missing: {tilt}"
+    more, kind = quantity(abs(fitted[0] - fitted[1]), "ohm", 2), "larger" if fitted[0] > fitted[1] else "smaller"
+    return (
+        f"Before, R_s is {more} {kind}, as it takes up what is proportional to the current: a step is left as a "
+        "sawtooth."
+    )
 
 
 def _resistance_ohm(step: DiagnosisStep) -> float | None:
@@ -156,25 +157,39 @@ def _resistance_ohm(step: DiagnosisStep) -> float | None:
 
 
 def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
-    grey = "" if before is after else " Grey: by the first model."
+    is_one = before is after
     for k, loop in enumerate(after.loops):
         if loop.swept_axis != "dq":
-            caption = f"{loop.segment}, one period. Below: measured less model; up and down apart: a loop.{grey}"
-            uri = figures.loop_figure(before.loops[k] if grey else None, loop)
-            yield Picture(f"Flux loop on {loop.swept_axis}", caption, uri)
-    ripple = [e for e in after.excerpts if e.amplitude_v is not None]
+            first = before.loops[k]
+            panels = figures.loop_figures(None if is_one else first, loop)
+            errors = [f"{number(figures.loop_error(one), 2)} mWb" for one in (first, loop)]
+            caption = f"{loop.segment}, one period. {_below('model', errors, is_one)} Rising and falling apart: a loop."
+            yield Picture(f"Flux loop on {loop.swept_axis}", caption, panels.before, panels.after)
+    alone, ripple = ([e for e in step.excerpts if e.amplitude_v is not None] for step in (before, after))
     if ripple:
-        alone = [e for e in before.excerpts if e.amplitude_v is not None] if grey else []
-        yield Picture("Ripple, measured and predicted", _ripple(ripple) + grey, figures.ripple_figure(ripple, alone))
-    for k, excerpt in enumerate(after.excerpts):
+        panels = figures.ripple_figures([] if is_one else alone, ripple)
+        errors = [f"{number(figures.ripple_error(one), 2)} mA/V" for one in (alone, ripple)]
+        caption = f"{_ripple(ripple)} {_below('model', errors, is_one)}"
+        yield Picture("Ripple, measured and predicted", caption, panels.before, panels.after)
+    for earlier, excerpt in zip(before.excerpts, after.excerpts, strict=True):
         if excerpt.amplitude_v is None:
-            caption = f"{excerpt.segment}: simulated from the voltage alone, from its first sample on.{grey}"
-            uri = figures.trapezoid_figure(excerpt, before.excerpts[k] if grey else None)
-            yield Picture("A sweep, measured and simulated", caption, uri)
+            panels = figures.sweep_figures(None if is_one else earlier, excerpt)
+            errors = [f"{number(1e3 * figures.sweep_error(one), 2)} mA" for one in (earlier, excerpt)]
+            caption = f"{excerpt.segment}: simulated from the voltage alone, from its first sample on."
+            caption = f"{caption} {_below('simulated', errors, is_one)}"
+            yield Picture("A sweep, measured and simulated", caption, panels.before, panels.after)
     if after.resistance is not None and len(after.resistance.time_s) > 1:
-        caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{grey}"
-        uri = figures.heat_figure(after.resistance, before.resistance if grey else None)
-        yield Picture("R_s against the heat", caption, uri)
+        panels = figures.heat_figures(None if is_one else before.resistance, after.resistance)
+        scale = "" if is_one else " Each on a scale of its own."
+        caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{scale}"
+        yield Picture("R_s against the heat", caption, panels.before, panels.after)
+
+
+def _below(what: str, errors: Sequence[str], is_one: bool) -> str:
+    """What the lower panels show; of two models, each on its own scale, with both sizes."""
+    if is_one:
+        return f"Below: measured less {what}, rms {errors[1]}."
+    return f"Below: measured less {what}, each on a scale of its own: rms {errors[0]} before, {errors[1]} after."
 
 
 def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
@@ -185,7 +200,7 @@ def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
         else "Two amplitudes part where something is not proportional to them: iron with memory, and the step of an "
         "inverter's dead time or device drop, where the ripple crosses zero current."
     )
-    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {amplitudes} Below: measured less model."
+    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {amplitudes}"
 
 
 def _effects(step: DiagnosisStep) -> str:

@@ -12,13 +12,16 @@ import numpy as np
 
 from orchestrator.flux_maps.exporting import mtpa, saliency
 from orchestrator.formatting.quantities import fixed, number, quantity, vector
-from orchestrator.formatting.results import resistance, resistance_course
-from orchestrator.numerics.tables import value_at
+from orchestrator.formatting.results import UNCHANGED, resistance, resistance_course
+from orchestrator.numerics.tables import cubic_value_at
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, inductance_line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
-TORQUE_HEAD = ("torque", "i_d", "i_q", "|i|", "angle from d")
+TORQUE_HEAD = ("torque", "i_d", "i_q", "|i|", "angle from d", "")
+RESISTANCE_HEAD = ("R_s", "by", "why it differs from the one above")
+SAME_RESISTANCE_RATIO: float = 0.005
+"""Change of R_s between two models below which it hides nothing that a picture or a table shows."""
 COPPER_COEFFICIENT_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
 
@@ -36,11 +39,30 @@ def motor_lines(material: Material) -> Iterator[Line]:
             + nameplate,
         )
         yield Line("R_s at 20 °C", _at_20_c(report.resistance, material))
-        yield Line("R_s over the run", resistance_course(report.resistance))
     shown = material.maps.get(report.method) if report is not None and report.method is not None else None
     if shown is not None and motor is not None:
         yield from _of_map(shown, motor, _magnet_by_emf(report))
     yield from inductance_line(material)
+
+
+def resistance_rows(material: Material) -> list[tuple[str, str, str]]:
+    """The other values of R_s in this directory, each with its source and why it differs; see `RESISTANCE_HEAD`."""
+    report, rows = material.estimates, list[tuple[str, str, str]]()
+    if report is None or report.resistance is None:
+        return rows
+    delivered, alone = report.resistance, report.estimators.resistance if report.estimators is not None else None
+    if (course := resistance_course(delivered)) != UNCHANGED:
+        rows.append((course, "the readings at constant current", "the winding was as warm as at that time"))
+    if delivered.is_of_model and alone is not None:
+        whole = "the mean over the run, in which the current warmed the winding"
+        rows.append((resistance(alone), "the estimators, all readings together", whole))
+    first = material.diagnosis.steps[0].resistance if material.diagnosis and material.diagnosis.steps else None
+    if first is not None and len(first.model_ohm):
+        bare_ohm = float(first.model_ohm.min())
+        if abs(bare_ohm / delivered.value_ohm - 1.0) > SAME_RESISTANCE_RATIO:
+            why = "what the missing effects take along the current is counted as resistance"
+            rows.append((quantity(bare_ohm, "ohm", 4), "the model before any effect was added", why))
+    return rows
 
 
 def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | None:
@@ -127,7 +149,8 @@ def _torque(grid: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
 def torque_rows(grid: FluxMap, motor: Motor) -> list[tuple[str, ...]]:
     """The best currents for round torques up to the greatest that was measured; see `TORQUE_HEAD`.
 
-    None where the magnet's flux is not known, of which most of the torque is.
+    None where the magnet's flux is not known, of which most of the torque is. The last column marks what is beyond
+    the nameplate's torque or current.
     """
     if motor.pm_flux_wb is None:
         return []
@@ -146,8 +169,18 @@ def torque_rows(grid: FluxMap, motor: Motor) -> list[tuple[str, ...]]:
     for torque_nm in step_nm * np.arange(1, int(torque[-1] / step_nm) + 1):
         d, q = (float(np.interp(torque_nm, torque, i_dq[:, axis])) for axis in (0, 1))
         length, angle = math.hypot(d, q), math.degrees(math.atan2(q, d))
-        rows.append((quantity(torque_nm, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
+        currents = (f"{fixed(x, 2)} A" for x in (d, q, length))
+        beyond = _beyond_rated(motor, float(torque_nm), length)
+        rows.append((quantity(torque_nm, "Nm"), *currents, f"{fixed(angle, 1)}°", beyond))
     return rows
+
+
+def _beyond_rated(motor: Motor, torque_nm: float, current_a: float) -> str:
+    if motor.rated_torque_nm is not None and torque_nm > motor.rated_torque_nm:
+        return f"beyond the rated torque of {quantity(motor.rated_torque_nm, 'Nm', 3)}"
+    if motor.rated_current_a is not None and current_a > motor.rated_current_a:
+        return f"beyond the rated current of {quantity(motor.rated_current_a, 'A', 3)}"
+    return ""
 
 
 def _round_step(largest: float) -> float:
@@ -157,4 +190,4 @@ def _round_step(largest: float) -> float:
 
 
 def _at(grid: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:
-    return value_at((grid.i_d, grid.i_q), values, i_d, i_q)
+    return cubic_value_at((grid.i_d, grid.i_q), values, i_d, i_q)

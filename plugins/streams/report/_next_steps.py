@@ -49,7 +49,7 @@ def _about_model(material: Material) -> str:
     if material.diagnosis is None:
         is_drawn = material.bare is not None or material.manifest is None
         draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
-        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
+        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
@@ -75,6 +75,15 @@ def _about_model(material: Material) -> str:
     drive = None if material.manifest is None else material.manifest.drive
     remedy = _remedy([effect for effect in report.effects if effect.material is not False], drive)
     return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}."
+
+
+def _reached(material: Material) -> str:
+    """The error of effects that were added by hand, beside the noise; empty where there are none."""
+    step = material.present
+    if step is None:
+        return ""
+    error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
+    return f"with {listed([plain(name) for name in step.effects])} the error is {error}, noise alone leaves {noise}; "
 
 
 def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:

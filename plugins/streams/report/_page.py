@@ -12,7 +12,7 @@ import numpy as np
 from orchestrator.extras import require
 from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
-from orchestrator.formatting.explaining import accuracy_sentences, search_rows
+from orchestrator.formatting.explaining import accuracy_sentences, search_legend, search_rows
 from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, map_source, plain, slots
 from orchestrator.formatting.quantities import percent, quantity
 from orchestrator.formatting.sentences import cut, listed, typographic, visible
@@ -25,7 +25,13 @@ from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures, step_pictures
 from plugins.streams.report._drive_content import drive_section
-from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
+from plugins.streams.report._motor_content import (
+    RESISTANCE_HEAD,
+    TORQUE_HEAD,
+    motor_lines,
+    resistance_rows,
+    torque_rows,
+)
 from plugins.streams.report._next_steps import next_steps
 from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
@@ -89,6 +95,8 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         typed=content.typed(material),
         now=next_steps(material),
         motor=list(motor_lines(material)),
+        resistance_head=RESISTANCE_HEAD,
+        resistances=resistance_rows(material),
         torque_head=TORQUE_HEAD,
         torque_rows=torque_rows(main, motor) if main is not None and motor is not None else [],
         summary=list(content.summary(material)),
@@ -156,6 +164,7 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
+        "search_legend": [findings.squared(line) for line in search_legend(report.search)],
         "present": "" if material.present is None else findings.step_errors(material.present),
         "pictures": (
             [*diagnosis_pictures(diagnosis, material.present), *learned_pictures(material.discovery)] if draws else []
@@ -175,7 +184,8 @@ def _bare(material: Material) -> dict[str, Any] | None:
     if material.bare is None:
         return None
     return {
-        "errors": findings.step_errors(material.bare),
+        # The floor depends on the model a little: two of them would be one too many.
+        "errors": findings.step_errors(material.bare, with_noise=material.present is None),
         "present": "" if material.present is None else findings.step_errors(material.present),
         "modelled": listed([plain(name) for name in material.modelled]),
         "pictures": list(step_pictures(material.bare, material.present or material.bare)),
@@ -199,7 +209,9 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
 
 def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     """R_s, fluxes and inductances; each says for itself why it is not drawn."""
-    yield _resistance_picture(material)
+    is_estimated = content.is_estimated(material)
+    if is_estimated or material.readings:
+        yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
         known = {m: grid for m, grid in material.maps.items() if np.isfinite(grid.psi_d).any()}
@@ -210,7 +222,8 @@ def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Pi
             held = means[:, "dq".index(other)] if len(means) else None
             caption = _methods_in_words(known) + _reach(means, known, axis)
             yield Picture(title, caption, figures.flux_figure(known, axis, held))
-    yield _difference_picture(material)
+    if is_estimated:
+        yield _difference_picture(material)
     for name, title in INDUCTANCES.items():
         if main is None or not np.isfinite(getattr(main, name)).any():
             why = (
@@ -262,12 +275,7 @@ def _resistance_picture(material: Material) -> Picture:
     title, readings = "R_s over the run", material.readings
     estimate = material.estimates.resistance if material.estimates is not None else None
     if not readings:
-        why = (
-            content.why_no_map(material)
-            if not content.is_estimated(material)
-            else "there are no single readings over time"
-        )
-        return Picture(title, f"Not drawn: {why}.")
+        return Picture(title, "Not drawn: there are no single readings over time.")
     values = [r.value_ohm for r in readings]
     interval = (min(values), max(values)) if estimate is None else (estimate.low, estimate.high)
     motor = content.motor_of(material)
@@ -291,12 +299,10 @@ def _band(estimate: ResistanceEstimate | None) -> str:
 
 def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
-    bases = (Basis.INTEGRATION, Basis.INJECTION)
-    classical, injection = (_first_by(basis, material.maps) for basis in bases)
+    classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
-        if not content.is_estimated(material):
-            return Picture(title, f"Not drawn: {content.why_no_map(material)}.")
-        missing = listed([one.value for one, grid in zip(bases, (classical, injection), strict=True) if grid is None])
+        maps = {"classical": classical, "injection": injection}
+        missing = listed([name for name, grid in maps.items() if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))

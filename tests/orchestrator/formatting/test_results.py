@@ -9,6 +9,7 @@ import pytest
 from orchestrator.formatting.results import (
     PART_MEANING,
     benefit_line,
+    has_other_chi2,
     joint_bound,
     ladder_rows,
     parameter_rows,
@@ -102,6 +103,17 @@ def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> 
         "the model alone", "+ current offset", "+ hysteresis (with eddy currents)",
     ]  # fmt: skip
     assert ladder_rows([step(None), step(offset, offset, small)])[1][0] == "+ current offset (with eddy currents)"
+
+
+def test_a_refit_whose_error_differs_from_the_diagnosis_is_noticed() -> None:
+    def ladder(chi2: float) -> list[Rung]:
+        common = {"rms_v": 0.1, "heldout_rms_v": None, "current_rms_a": None}
+        rungs = [("a", chi2, ("a",)), ("b", 1.0, ("a", "b"))]
+        return [Rung(added=added, chi2=c, effects=effects, **common) for added, c, effects in rungs]
+
+    assert has_other_chi2(ladder(539.0), ladder(452.0))
+    assert not has_other_chi2(ladder(453.0), ladder(452.0))
+    assert not has_other_chi2(ladder(539.0)[:1], ladder(539.0)[1:])
 
 
 def test_the_course_of_the_resistance_says_when_it_was_read() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from orchestrator.diagnosis import Criteria, explanation_of, model_changes
+from orchestrator.diagnosis import Criteria, explanation_of, model_changes, removed_effects
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.diagnosis.reporting.convention import convention_report
 from protocols import Convention, ManifestCorrection, ModelEffect, MotorModel
@@ -62,4 +62,5 @@ def test_effects_that_were_added_and_removed_since_are_reported(model: MotorMode
     last = a_diagnosis().ladder[-1].model_copy(update={"effects": ("dead_time",)})
     report = a_diagnosis(ladder=[*a_diagnosis().ladder[:-1], last])
     assert explanation_of(report, model).model_changes == changes
+    assert removed_effects(report, model) == ("dead_time",) * any(change.startswith("−") for change in changes)
     assert model_changes(a_diagnosis(), model) == ()  # an older file, which does not have the effects of its model

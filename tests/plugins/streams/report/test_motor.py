@@ -9,15 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis import SavedDiagnosis
 from orchestrator.flux_maps.exporting import mtpa, mtpv
 from orchestrator.formatting.quantities import quantity
-from orchestrator.numerics.tables import value_at
+from orchestrator.numerics.tables import cubic_value_at
 from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
-from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines
+from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines, resistance_rows, torque_rows
 from plugins.streams.report._page import render
 from protocols import About, Remark
 from tests.plugins.streams.example_run import a_run_directory
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +83,7 @@ def test_incremental_and_apparent_inductances_are_told_apart(material: Material)
     rated_a = manifest.motor.rated_current_a
     assert rated_a
     grid = next(iter(material.maps.values()))
-    fluxes = (value_at((grid.i_d, grid.i_q), grid.psi_q, 0.0, i_q) for i_q in (0.0, rated_a))
+    fluxes = (cubic_value_at((grid.i_d, grid.i_q), grid.psi_q, 0.0, i_q) for i_q in (0.0, rated_a))
     at_rest, flux = (float(value) for value in fluxes if value is not None)
     assert f"L_q {quantity((flux - at_rest) / rated_a, 'H', 4)} at i_q" in shown["Apparent"]
 
@@ -95,6 +97,40 @@ def test_the_model_s_resistance_says_when_it_holds(material: Material) -> None:
     of_model = estimates.resistance.model_copy(update={"remarks": (remark,)})
     changed = replace(material, estimates=estimates.model_copy(update={"resistance": of_model}))
     assert " at 0 s, by the model; nameplate 4.25 Ω" in lines(changed)["R_s"]
+
+
+def test_other_values_of_the_resistance_say_why_they_differ(material: Material) -> None:
+    estimates = material.estimates
+    assert estimates is not None
+    assert estimates.resistance is not None
+    assert [row[1] for row in resistance_rows(material)] == ["the readings at constant current"]
+    remark = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
+    of_model = estimates.resistance.model_copy(update={"remarks": (remark,)})
+    diagnosed = estimates.model_copy(update={"resistance": of_model, "estimators": estimates})
+    before, after = some_steps()
+    assert before.resistance is not None
+    larger = before.resistance.model_copy(update={"model_ohm": 1.1 * before.resistance.model_ohm})
+    steps = (before.model_copy(update={"resistance": larger}), after)
+    changed = replace(material, estimates=diagnosed, diagnosis=SavedDiagnosis(a_diagnosis(), WORDS, steps))
+    rows = resistance_rows(changed)
+    assert [row[1] for row in rows] == [
+        "the readings at constant current",
+        "the estimators, all readings together",
+        "the model before any effect was added",
+    ]
+    assert all(why for *_, why in rows)
+
+
+def test_currents_beyond_the_rating_are_marked(material: Material) -> None:
+    assert material.manifest is not None
+    grid, motor = next(iter(material.maps.values())), material.manifest.motor
+    rows = torque_rows(grid, motor.model_copy(update={"rated_torque_nm": 1.2}))
+    assert [row[-1] for row in rows if float(row[0].split()[0]) in (1.0, 1.5)] == [
+        "",
+        "beyond the rated torque of 1.2 Nm",
+    ]
+    slow = motor.model_copy(update={"rated_torque_nm": None, "rated_current_rms_a": 1.0})
+    assert torque_rows(grid, slow)[-1][-1] == "beyond the rated current of 1.41 A"
 
 
 def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Material, run: Path) -> None:
