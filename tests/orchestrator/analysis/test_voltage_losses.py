@@ -65,6 +65,7 @@ def test_loops_close_and_the_path_is_right() -> None:
         assert off_percent(closed.path) < 0.5
 
 
+@pytest.mark.slow
 def test_the_heat_within_a_sweep_is_reported_from_the_rise_between_sweeps() -> None:
     """Nine sweeps, R_s following the integral of the squared current; alone, it would look like more inductance."""
     slope, out, heat, start_s = 4e-3, [], 0.0, 0.0

@@ -348,6 +348,7 @@ class LegOnResistance:
         return Correction(v_ab=signals.v_ab - from_phases(legs), i_ab=signals.i_ab + 1e-5 * slope)
 
 
+@pytest.mark.slow
 def test_an_effect_that_nobody_knows_is_probed_as_well() -> None:
     effect = LegOnResistance()
     found = one(effect, channel_ohm=0.2)

@@ -120,7 +120,6 @@ def test_a_machine_without_magnet_and_saliency_is_refused() -> None:
         (lambda d, q: d > 1.5, "the map has holes, or lacks currents near zero"),
         (lambda d, q: (np.abs(d) > 3.9) & (np.abs(q) > 3.9), "gives torque"),
     ],
-    fast=2,
 )
 def test_a_map_that_lacks_what_the_references_need_is_refused(
     known: Callable[[Array, Array], Array], message: str

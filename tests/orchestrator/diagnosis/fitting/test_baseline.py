@@ -211,6 +211,7 @@ def test_a_kink_has_more_evidence_on_such_iron_and_less_on_a_linear_machine(
     assert map_log_evidence(with_kink_switched(setup, setup.fitter, linear_fit)) < map_log_evidence(linear_fit)
 
 
+@pytest.mark.slow
 def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
     sharp: DiagnosisSetup, sharp_fit_without_kink: Fit, setup: DiagnosisSetup, linear_fit: Fit
 ) -> None:
