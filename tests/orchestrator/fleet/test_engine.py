@@ -186,7 +186,6 @@ def test_recordings_are_worked_on_by_processes(client: Client, tmp_path: Path) -
     assert [row.name for row in rows if row.failed is not None] == ["motor-1"]
 
 
-@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_one_line() -> None:
     settings = ClusterSettings(scheduler="tcp://127.0.0.1:9", wait_s=0.2)
     with pytest.raises(InputError, match=r"^--scheduler: tcp://127\.0\.0\.1:9: no scheduler"), connected(settings):
