@@ -142,7 +142,7 @@ def test_more_torque_than_there_is_gives_the_largest(loop: Loop) -> None:
         assert (end["report"] == 1).all()
 
 
-@pytest.mark.parametrize("speed", [0.0, 800.0, 1500.0, 2200.0, 3000.0, -2200.0])
+@few("speed", [0.0, 800.0, 1500.0, 2200.0, 3000.0, -2200.0], fast=3)
 def test_steps_of_torque_stay_within_current_and_voltage(loop: Loop, speed: float) -> None:
     command = np.repeat([3.0, -3.0, 10.0, -10.0, 10.0, 0.0], 200)
     run = loop.run(PLANT, ramp(speed, command))
@@ -219,6 +219,7 @@ def softer(plant: Plant, d: float, q: float, cross: float) -> Plant:
     return dataclasses.replace(plant, **inductances)
 
 
+@pytest.mark.slow
 def test_phase_margin_at_the_band_s_edge_is_the_one_promised(uncertain: Tables, make: Make) -> None:
     least = 1.0 - 1.96 * RELATIVE_STD
     plant = softer(PLANT, least, least, least)
