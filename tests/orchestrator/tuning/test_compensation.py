@@ -387,6 +387,7 @@ def test_a_loss_of_some_legs_is_not_spread_over_all(legs: tuple[float, ...], whe
     assert left.reason == f"{where}; the code has one table for all legs"
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_nearly_alike_in_all_legs_is_compensated() -> None:
     assert one(PoorJoint(1.1, 1.0, 0.9), channel_ohm=0.2).sources == ("poor_joint",)
 
