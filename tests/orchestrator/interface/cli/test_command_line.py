@@ -144,6 +144,7 @@ def test_schemas_are_json_schemas(name: str) -> None:
     assert schema["properties"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert "report" in called("--help").stdout
     assert "Write the report of a run" in called("report", "--help").stdout
@@ -211,6 +212,7 @@ def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
     assert report["chi2"] < 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     motor = tmp_path / "motor.yaml"
     motor.write_text("motor: {name: test, pole_pairs: 2}\n")
