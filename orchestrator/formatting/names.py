@@ -77,8 +77,8 @@ def rung_name(added: str | None, index: int) -> str:
 
 
 def map_source(method: str) -> str:
-    """Where a flux map comes from: the diagnosed model, or an estimator by name."""
-    return "of the diagnosed model" if method == "model" else f"by {method}"
+    """Where a flux map comes from: the fitted model, or an estimator by name."""
+    return "of the fitted model" if method == "model" else f"by {method}"
 
 
 def code_identifier(name: str) -> str:
