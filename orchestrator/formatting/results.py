@@ -51,9 +51,8 @@ PART_MEANING = (
     "100 %, as each is of the kind of stage where it is largest"
 )
 REFIT_MEANING = (
-    "`add` and `remove` keep the noise, the map grid and the effects' forms of model.json, which a diagnosis chooses "
-    "anew. While an effect is missing, an added one's form takes up a part of it, so that chi2 of the same names may "
-    "be several times another before and after a diagnosis"
+    "`add` and `remove` keep the noise, the map grid and the effects' forms of model.json; a diagnosis chooses these "
+    "anew, so that its chi2 of the same effects may be several times smaller or larger"
 )
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
