@@ -155,11 +155,14 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert_one_line(called("report", tmp_path / "nowhere"), 2, "nowhere")
 
 
-def test_a_command_that_is_named_waits_for_no_description_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_is_named_waits_for_no_description_of_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def described(_: object) -> str:
         raise AssertionError("described")
 
     monkeypatch.setattr("orchestrator.interface.cli._foreign.summary_of", described)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # where the traceback goes
     assert called("procedures").returncode == 0
     assert "AssertionError: described" in called("--help").stderr
 
