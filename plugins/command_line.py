@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from orchestrator.interface.cli.help_text import with_plain_help
+
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 
 
@@ -22,6 +24,7 @@ def entry_point(function: Callable[..., Any], epilog: str | None = None) -> Call
 
 def group_entry_point(app: typer.Typer, name: str) -> Callable[[Sequence[str]], int]:
     """As `entry_point`, for an application that may have sub-commands."""
+    with_plain_help(app)
 
     def command(arguments: Sequence[str]) -> int:
         return int(app(list(arguments), prog_name=f"fluxbench {name}", standalone_mode=False) or 0)

@@ -7,6 +7,7 @@ events are what the engine says while it works.
 
 from protocols._acceptance import Acceptance, AcceptanceReason, AcceptanceResult
 from protocols._base import ArrayModel, Lenient, Phases, RealArray, Samples, Shape, Strict, Vectors
+from protocols._comparison_report import CompareReport, NoiseFloor, StageError, WorstSegment
 from protocols._diagnosis import (
     Compared,
     CurrentExcerpt,
@@ -16,6 +17,26 @@ from protocols._diagnosis import (
     FluxLoop,
     LawLearned,
     ResistanceCourse,
+)
+from protocols._diagnosis_report import (
+    AddReport,
+    Companion,
+    Convention,
+    DiagnosisReport,
+    DiagnosisWords,
+    EffectBasis,
+    Explanation,
+    FoundEffect,
+    Inseparable,
+    JointEntry,
+    ManifestCorrection,
+    Materiality,
+    NextExperiment,
+    ParameterValue,
+    Rung,
+    ShapeGroup,
+    ShapeShare,
+    Unexplained,
 )
 from protocols._drive import (
     Capabilities,
@@ -92,6 +113,14 @@ from protocols._estimates import (
     ResistanceEstimate,
     ResistanceReading,
 )
+from protocols._estimation_report import (
+    DeliveredModel,
+    EstimationReport,
+    EstimatorsReport,
+    InductanceRange,
+    MapReport,
+    SeenByInjection,
+)
 from protocols._events import (
     JournalledMessage,
     LockChecked,
@@ -152,42 +181,7 @@ from protocols._procedure import (
     shipped_procedures,
 )
 from protocols._recording import Capture, DriveRecord, Manifest, RecordingReader, Segment, SegmentId, SegmentStage
-from protocols._remarks import Number, Remark, Remarks
-from protocols._reports import (
-    AddReport,
-    CheckOutcome,
-    Companion,
-    CompareReport,
-    Convention,
-    DeliveredModel,
-    DiagnosisReport,
-    DiagnosisWords,
-    EffectBasis,
-    EstimationReport,
-    EstimatorsReport,
-    Explanation,
-    FoundEffect,
-    InductanceRange,
-    Inseparable,
-    JointEntry,
-    ManifestCorrection,
-    MapCriteria,
-    MapReport,
-    Materiality,
-    NextExperiment,
-    NoiseFloor,
-    ParameterValue,
-    Remarked,
-    Rung,
-    SeenByInjection,
-    ShapeGroup,
-    ShapeShare,
-    StageError,
-    Unexplained,
-    Usability,
-    UsabilityCheck,
-    WorstSegment,
-)
+from protocols._remarks import Number, Remark, Remarked, Remarks
 from protocols._search_trace import SearchDecision, SearchEvent, SearchMeasure, SearchMove
 from protocols._signal_batch import SignalBatch
 from protocols._signals import Correction, LossHistory, Signals
@@ -202,6 +196,7 @@ from protocols._stages import (
     StageState,
 )
 from protocols._streams import Stream, StreamSetup
+from protocols._usability import CheckOutcome, MapCriteria, Usability, UsabilityCheck
 from protocols._verdict import Judgement, Reason, Verdict, VerdictLimits, VerdictRecord
 
 __all__ = [

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from protocols._base import ArrayModel, Phases, RealArray, Samples, Shape, Strict, Vectors
-from protocols._reports import CompareReport, DiagnosisReport, DiagnosisWords, NextExperiment
+from protocols._comparison_report import CompareReport
+from protocols._diagnosis_report import DiagnosisReport, DiagnosisWords, NextExperiment
 
 Curve = Annotated[RealArray, Shape(("m",))]
 

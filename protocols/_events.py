@@ -10,10 +10,10 @@ from protocols._base import ArrayModel, Strict
 from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentProposed, LawLearned
 from protocols._drive import Limits
 from protocols._estimates import FluxMapEstimate, ResistanceEstimate
+from protocols._estimation_report import EstimationReport
 from protocols._motor import Motor
 from protocols._procedure import About, StageEntry
 from protocols._recording import Capture, Segment
-from protocols._reports import EstimationReport
 
 
 class RunStarted(Strict):

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from protocols._base import Strict
+from protocols._diagnosis_report import Rung
 from protocols._motor import Motor, Positive
 from protocols._remarks import Number
-from protocols._reports import Rung
 
 SPLINE_DEGREE = 5
 """Degree of the co-energy's B-splines: inductances are then three times differentiable."""

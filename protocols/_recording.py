@@ -90,11 +90,6 @@ class Segment(Lenient):
     clipped_rows: Annotated[int, Field(ge=0)] = 0
     """Rows with a reading or voltage at the end of its scale (clipped)."""
 
-    @property
-    def is_anchor(self) -> bool:
-        """Whether this is one of the repetitions of one and the same point."""
-        return bool(self.settings.get("anchor", False))
-
 
 class Manifest(Lenient):
     """`recording.json`: who was measured, by what, and which segments are complete."""

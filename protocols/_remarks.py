@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Self
 
-from pydantic import AliasChoices, BeforeValidator, Field
+from pydantic import AliasChoices, BeforeValidator, Field, computed_field
 
 from protocols._base import Lenient
 
@@ -57,3 +57,19 @@ Remarks = Annotated[
     Field(validation_alias=AliasChoices("remarks", "notes", "reasons")),
 ]
 """The remarks of an estimate: as `Noted`, or under ``reasons``."""
+
+
+class Remarked(Lenient):
+    """A report with remarks; `notes` has their sentences alone."""
+
+    remarks: Noted = ()
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The remarks' sentences."""
+        return tuple(remark.text for remark in self.remarks)
+
+    def with_remark(self, remark: Remark) -> Self:
+        """A copy with one more remark."""
+        return self.model_copy(update={"remarks": (*self.remarks, remark)})

@@ -14,11 +14,11 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, runtime_c
 
 from protocols._base import Strict
 from protocols._drive import Capabilities, Telemetry
+from protocols._estimation_report import EstimationReport
 from protocols._events import Message
 from protocols._excitations import CurrentControl, Excitation
 from protocols._procedure import Procedure, StageEntry
 from protocols._recording import RecordingReader, Segment, SegmentStage
-from protocols._reports import EstimationReport
 
 
 class StageState(NamedTuple):

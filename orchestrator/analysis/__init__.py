@@ -5,6 +5,7 @@ where they use them.
 """
 
 from orchestrator.analysis._between import steep_steps
+from orchestrator.analysis._captures import each_capture
 from orchestrator.analysis._checks import (
     check_map,
     difference_percent,
@@ -14,7 +15,6 @@ from orchestrator.analysis._checks import (
     values_at,
 )
 from orchestrator.analysis._crossings import Network, crossings_of, join_paths
-from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
@@ -49,7 +49,6 @@ from orchestrator.analysis._sweep import (
     FluxPath,
     Sweep,
     SweepTrace,
-    evaluate_sweep,
     find_dwells,
     flux_from_dwells,
     sweep_of,
@@ -93,7 +92,6 @@ __all__ = [
     "demodulate",
     "difference_percent",
     "each_capture",
-    "evaluate_sweep",
     "exact_inductance",
     "find_dwells",
     "fit_energy",

@@ -17,7 +17,7 @@ from itertools import islice
 
 import numpy as np
 
-from orchestrator.analysis._each_capture import each_capture
+from orchestrator.analysis._captures import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit, EnergyProblem, energy_rows, finished, pose
 from orchestrator.analysis._energy_search import behind_dead_time
 from orchestrator.analysis._integration import PAIRS, TRIPLES, Inductances, invert

@@ -105,37 +105,6 @@ def find_dwells(capture: Capture, angle_rad: float, delay: float = 0.0) -> tuple
     return trace_sweep(capture, angle_rad, delay=delay).dwells
 
 
-def evaluate_sweep(
-    capture: Capture,
-    angle_rad: float,
-    *,
-    delay: float = 0.0,
-    resistance_ohm: float | None = None,
-    where: str = "capture",
-) -> Sweep:
-    """Flux along the path of a capture of trapezoids, or of any current swept to and fro.
-
-    Parameters
-    ----------
-    capture : Capture
-    angle_rad : float
-        Believed electrical angle of the d axis.
-    delay : float
-        n, where v[k] acts from t_k + n Ts.
-    resistance_ohm : float, optional
-        Without it, R_s is estimated from the dwells of this capture.
-    where : str
-        Name of the segment, for errors.
-
-    Raises
-    ------
-    NotMeasuredError
-        Where the current is not swept to and fro.
-    """
-    trace = trace_sweep(capture, angle_rad, delay=delay, where=where)
-    return sweep_of(trace, flux_from_dwells(trace, resistance_ohm))
-
-
 def sweep_of(trace: SweepTrace, psi: Array) -> Sweep:
     """Mean path and loop of the flux that was integrated over a trace, shape (n, 2).
 
@@ -194,9 +163,20 @@ def trace_sweep(
     where: str = "capture",
     blocks: int = 4000,
 ) -> SweepTrace:
-    """A capture averaged to about `blocks` blocks, with integrals; parameters as of `evaluate_sweep`.
+    """A capture of trapezoids, or of any current swept to and fro, averaged to about `blocks` blocks, with integrals.
 
-    With `knots_a`, shape (k,), knots of the inverter's error over the phase current [A], its unit integrals too.
+    Parameters
+    ----------
+    capture : Capture
+    angle_rad : float
+        Believed electrical angle of the d axis.
+    delay : float
+        n, where v[k] acts from t_k + n Ts.
+    knots_a : array, shape (k,), optional
+        Knots of the inverter's error over the phase current [A], for its unit integrals.
+    where : str
+        Name of the segment, for errors.
+    blocks : int
     """
     # numba is imported on use, which keeps the import of this module fast
     from orchestrator.analysis._block_means import block_means

@@ -132,7 +132,7 @@ def bare_model_step(recording: Recording) -> DiagnosisStep:
         As `diagnose_recording`.
     """
     setup = open_for_refit(recording, None)
-    return diagnosis_step(0, AcceptedModel(None, first_steps(setup, "saturated", {})[-1].fit), setup)
+    return diagnosis_step(0, AcceptedModel(None, first_steps(setup, "saturated", {})[-1].fit))
 
 
 @solvable
@@ -155,7 +155,7 @@ def model_step(recording: Recording, model: MotorModel, effects: Sequence[Effect
     setup = open_for_refit(recording, model)
     fit = _held(setup, model, {c.name: c for c in scaled_library(effects, setup.prepared.manifest)})
     added = model.ladder[-1].added if model.ladder else None
-    return diagnosis_step(max(len(model.ladder) - 1, 0), AcceptedModel(added, fit), setup)
+    return diagnosis_step(max(len(model.ladder) - 1, 0), AcceptedModel(added, fit))
 
 
 def _held(setup: DiagnosisSetup, model: MotorModel, library: Mapping[str, CandidateEffect]) -> Fit:

@@ -195,7 +195,7 @@ def diagnose_recording(
             from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 
             for index, (step, numbers) in enumerate(zip(found.search.steps, found.report.ladder, strict=True)):
-                on_step(diagnosis_step(index, step, found.setup, known=numbers))
+                on_step(diagnosis_step(index, step, known=numbers))
     return found
 
 

@@ -355,7 +355,7 @@ def _found(effect: ModelEffect) -> FoundEffect:
             name: ParameterValue(value=p.value, low=p.low, high=p.high, unit=p.unit)
             for name, p in effect.parameters.items()
         },
-        twins=effect.twins,
+        twins=tuple(name for name in effect.twins if name != effect.name),
         relative_size=effect.relative_size,
         log_evidence=effect.log_evidence,
     )

@@ -102,12 +102,12 @@ def discover_laws(
     before = setup.fitter.fit(whole, relinearisations=0, steps=1)
     little = _too_little(before)
     if little:
-        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", little, (), began))
+        return Learned(_report(diagnosis, before, None, "nothing_to_learn", little, (), began))
     named = [effect.name for effect in diagnosis.effects]
     outcome = learn_laws(setup, whole, named, name, tell)
-    verdict, why = _verdict(setup, before, outcome)
+    verdict, why = _verdict(before, outcome)
     laws = _laws(setup, outcome, tuple(library.values())) if outcome.laws else ()
-    report = _report(setup, diagnosis, before, outcome, verdict, why, laws, began)
+    report = _report(diagnosis, before, outcome, verdict, why, laws, began)
     return Learned(report, _text(setup, report, outcome) if verdict == "law" else "")
 
 
@@ -127,7 +127,7 @@ def _too_little(before: Fit) -> str:
     return ""
 
 
-def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tuple[Outcome, str]:
+def _verdict(before: Fit, outcome: SearchOutcome) -> tuple[Outcome, str]:
     if not outcome.laws:
         return "no_law", "no place and quantity whose law removes half of the error"
     was, now = min(error_of(before), error_of(outcome.start)), error_of(outcome.fit)
@@ -283,7 +283,6 @@ def _to_decide(law: LearnedLaw) -> str:
 
 
 def _report(
-    setup: DiagnosisSetup,
     diagnosis: DiagnosisReport,
     before: Fit,
     outcome: SearchOutcome | None,

@@ -88,7 +88,7 @@ def join_model(
     base = base.model_copy(update={"remarks": tuple(r for r in base.remarks if r.code != MODEL_LEFT_OUT)})
     bare = base.without_check(MODEL)  # the diagnosed model's own check replaces it
     if bare.usable:
-        base = bare.checked([missing_model("the diagnosed model is judged instead")])
+        base = bare.checked([missing_model("the fitted model is judged instead")])
     if model.objections:
         report = bare.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
         report = report.checked(unmet(MODEL, model.objections))
@@ -116,7 +116,7 @@ def earlier_model(
         if model is None or method is None:
             return None, ()
         if model.segments != _digest(manifest):
-            text = "the diagnosed model {title} is of other segments and left out: diagnose again"
+            text = "the fitted model {title} is of other segments and left out: diagnose again"
             return None, (Remark.of(MODEL_LEFT_OUT, text, title=model.title),)
         return (load_flux_map(_map_file(directory, report, method)), model), ()
     except RecordingError as error:

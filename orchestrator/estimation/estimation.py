@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.analysis._held_captures import HeldCaptures
+from orchestrator.analysis._captures import HeldCaptures
 from orchestrator.estimation.delivery import earlier_model, join_model
 from orchestrator.estimation.judgement import EstimatorResults, report_with_checks
 from orchestrator.estimation.nameplate import with_nameplate_checks

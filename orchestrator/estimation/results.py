@@ -87,7 +87,7 @@ def write_results(
 def _model_description(report: EstimationReport, method: str) -> str:
     """Description of a map's model, for its file's attributes."""
     if report.model is not None and method == report.model_method:
-        return f"diagnosed: {report.model.title}"
+        return f"fitted: {report.model.title}"
     return f"estimator {method}: no effect taken out by a diagnosis"
 
 

@@ -163,7 +163,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     still = np.zeros((round(PLANNED_HOLD_S * fs), 2))
     planned: list[tuple[SegmentData | None, float]] = []
     if kind is SegmentStage.GATES_OFF:
-        planned.append((_piece(setup, model, kind, {}, still, still, lasting), lasting / PLANNED_HOLD_S))
+        planned.append((_piece(setup, kind, {}, still, still, lasting), lasting / PLANNED_HOLD_S))
     machine = Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
     for point in stage.get("points_a", ()):
         i_dq = np.array(point, dtype=np.float64)
@@ -171,7 +171,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
             current = still + i_dq
             for pwm in stage.get("pwm_frequencies_hz") or (None,):
                 settings = {} if pwm is None else {"pwm_frequency_hz": pwm}
-                piece = _piece(setup, model, kind, settings, current, model.r_s * current, lasting)
+                piece = _piece(setup, kind, settings, current, model.r_s * current, lasting)
                 planned.append((piece, lasting / PLANNED_HOLD_S))
         else:
             f, turn_s = stage["frequency_hz"], PLANNED_TURN_S
@@ -188,7 +188,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
                 swinging = current_of(injection, machine, np.arange(round(turn_s * fs) + 1) / fs)
                 current, voltage = swinging[:-1], machine.voltage(swinging, fs)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
-                planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
+                planned.append((_piece(setup, kind, settings, current, voltage, lasting), lasting / turn_s))
     found = [(piece, weight) for piece, weight in planned if piece is not None]
     if kind is SegmentStage.GATES_OFF or not found:
         return found
@@ -217,7 +217,6 @@ def _as_commanded(fitter: Fitter, model: Model, pieces: Sequence[SegmentData]) -
 
 def _piece(
     setup: DiagnosisSetup,
-    model: Model,
     kind: SegmentStage,
     settings: dict[str, Any],
     current: Array,

@@ -137,7 +137,7 @@ def audit_map(
         torque_factor=torque[0] if torque else None,
         torque_percent=torque[1] if torque else None,
         faults=tuple(faults),
-        remarks=tuple(audit_remarks(surface, symmetries, swing, torque_nm is not None, motor is not None)),
+        remarks=tuple(audit_remarks(symmetries, swing, torque_nm is not None, motor is not None)),
     )
 
 

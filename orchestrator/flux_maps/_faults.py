@@ -154,9 +154,7 @@ halved", 2.0: "poles taken for pole pairs"}  # fmt: skip
     return f" ({', '.join(causes)})" if causes else ""
 
 
-def audit_remarks(
-    surface: MapSurface, symmetries: Symmetries, swing: float, torque: bool, known: bool
-) -> Iterator[Remark]:
+def audit_remarks(symmetries: Symmetries, swing: float, torque: bool, known: bool) -> Iterator[Remark]:
     """Remarks on impossible checks and on symmetries; `known` is whether the pole pairs are known."""
     if symmetries.about is None:
         text = "no point has its mirror image in i_q: parity and the magnet's axis are unknown"

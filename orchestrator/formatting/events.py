@@ -134,7 +134,7 @@ def _resistance_source(estimate: ResistanceEstimate) -> str:
     An interval is of the readings' noise alone, and much narrower than what the winding's temperature changes.
     """
     if estimate.is_of_model:
-        return "of the diagnosed model at 0 s, before any current warms the winding; the interval is of noise alone"
+        return "of the fitted model at 0 s, before any current warms the winding; the interval is of noise alone"
     return f"by the estimators, over the whole run ({resistance_course(estimate)}); the interval is of noise alone"
 
 

@@ -19,7 +19,7 @@ MAP_QUANTITIES = {
     "l_qq": ("L_qq", "mH"),
 }
 """A flux map's variables: symbol, and the unit in which they are shown."""
-_PARAMETER_UNITS = ("_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
+_PARAMETER_UNITS = ("_a_per_s", "_per_s", "_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
 
 _PARAMETER_MEANINGS = {
     "threshold_a": "current below which it fades",
@@ -77,8 +77,8 @@ def rung_name(added: str | None, index: int) -> str:
 
 
 def map_source(method: str) -> str:
-    """Where a flux map comes from: the diagnosed model, or an estimator by name."""
-    return "of the diagnosed model" if method == "model" else f"by {method}"
+    """Where a flux map comes from: the fitted model, or an estimator by name."""
+    return "of the fitted model" if method == "model" else f"by {method}"
 
 
 def code_identifier(name: str) -> str:

@@ -178,7 +178,11 @@ class _Parquet:
             return RecordingError(str(self._path), "", f"cannot be read: {os.strerror(error.errno)}")
         # pyarrow has no common base for errors of a damaged file (ArrowException, OSError, ValueError, ...).
         reason = str(error).partition("\n")[0] or type(error).__name__
-        return RecordingError(str(self._path), "", f"not a readable Parquet file: {reason}")
+        return RecordingError(
+            str(self._path),
+            "",
+            f"not a readable Parquet file: {reason}; was it cut while copying? Copy the recording again",
+        )
 
 
 def _check_shape(path: Path, schema: Any, rows: int, segment: Segment) -> list[str]:

@@ -26,7 +26,7 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any], declared
     found = getattr(plugin, method, None)
     arguments = list(inspect.signature(getattr(contract, declared_as or method)).parameters)
     if not callable(found):
-        return f"is missing: write def {method}({', '.join(arguments)})"
+        return f"is missing: write def {method}({', '.join(arguments)}){misspelling(plugin, method, contract)}"
     passed = arguments[1:]
     try:
         # A plain function of the class is not bound yet.
@@ -37,6 +37,13 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any], declared
     except ValueError:
         return None  # written in another language, and without a signature
     return None
+
+
+def misspelling(plugin: type[Any], name: str, contract: type[Any]) -> str:
+    """Which attribute of a plugin's class is probably meant as a missing one; empty where none is like it."""
+    declared = {*dir(contract), *inspect.get_annotations(contract)}
+    near = nearest(name, [own for own in dir(plugin) if not own.startswith("_") and own not in declared])
+    return "" if near is None else f"; the class has {near!r}: did you mean {name!r}?"
 
 
 def hook_problem(plugin: type[Any]) -> str | None:

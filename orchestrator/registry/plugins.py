@@ -22,7 +22,7 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.extras import how_to_install, missing_extra
 from orchestrator.registry.entry_points import entries_of
-from orchestrator.registry.plugin_methods import hook_problem, method_problem
+from orchestrator.registry.plugin_methods import hook_problem, method_problem, misspelling
 from orchestrator.validation.messages import first_problem, nearest, suggestion
 from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stage, Stream, Strict
 
@@ -154,7 +154,7 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     except (Exception, SystemExit) as error:
         raise PluginError(str(path), "", f"does not run: {_reason(error)}") from error
     own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    effects = [c for c in own if hasattr(c, "correct")]
+    effects = [c for c in own if hasattr(c, "correct") or inspect.isclass(getattr(c, "Parameters", None))]
     if not effects:
         raise PluginError(str(path), "", _NO_EFFECT)
     for plugin in effects:
@@ -272,7 +272,8 @@ def _contract_problem(kind: PluginKind, plugin: type[Any]) -> str | None:
     for attribute, wanted in hints.items():
         problem = _attribute_problem(plugin, attribute, wanted)
         if problem:
-            return f"attribute {attribute!r} {problem}"
+            hint = "" if hasattr(plugin, attribute) else misspelling(plugin, attribute, contract)
+            return f"attribute {attribute!r} {problem}{hint}"
     for method, definition in vars(contract).items():
         if inspect.isfunction(definition) and not method.startswith("_"):
             problem = method_problem(plugin, method, contract)

@@ -31,11 +31,18 @@ def without_private(paths: Sequence[Path]) -> list[Path]:
     return [path for path in paths if not is_private(path)] or list(paths[:1])
 
 
-def refuse_file(path: Path) -> None:
-    """Raise `InputError` where a path or one of its parents is a file instead of a directory."""
-    for place in (path, *path.parents):
+def refuse_file(path: Path, *, writes: bool = True) -> None:
+    """Raise `InputError` where a path cannot be a folder of results: before work whose result would be lost.
+
+    It or one of its parents is a file; or, where the folder is to be written, the nearest that exists is read-only.
+    """
+    places = (path, *path.parents)
+    for place in places:
         if os.path.lexists(place) and not place.is_dir():
             raise InputError(str(place), "", "is not a directory and is not overwritten: name another place")
+    nearest = next((place for place in places if place.is_dir()), None)
+    if writes and nearest is not None and not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(str(nearest), "", "the folder is read-only for you: name another place, with --out")
 
 
 def require_file_place(path: Path, option: str) -> None:

@@ -38,8 +38,8 @@ UNIT_RESPONSE_LIMITS = (0.01, 100.0)
 """Change of voltage or current by a parameter of 1 V or 1 A, in its own unit."""
 MIN_SLOPE_RATIO = 0.01
 """Smallest slope over the mean slope."""
-MAX_LOOK_AHEAD_S = 0.01
-"""Time by which a correction may look ahead, as a derivative or a smooth current does."""
+UNSEEN_CHANGE = 1e-9
+"""Change over an array's largest value that is rounding."""
 SIZE_FRACTIONS = (0.0, 0.13, 0.37, 0.61, 0.89)
 SIZE_STEP = 2e-3
 
@@ -47,8 +47,11 @@ SIZE_STEP = 2e-3
 class EffectPhysicsChecks(ABC):
     """Units, layer, slope, speed, memory."""
 
-    looks_ahead: ClassVar[bool] = False
-    """True for an effect whose correction depends on samples more than `MAX_LOOK_AHEAD_S` later."""
+    look_ahead_samples: ClassVar[float] = 1
+    """Number of later samples that a correction may depend on, ``math.inf`` for the whole segment.
+
+    One is usual: the voltage of row k acts from t_k to t_k+1, so the current of row k + 1 belongs to it.
+    """
 
     @abstractmethod
     def make_effect(self) -> Effect: ...
@@ -180,22 +183,23 @@ class EffectPhysicsChecks(ABC):
         )
 
     def test_a_later_sample_changes_nothing_earlier(self) -> None:
-        """Such as a sum over a whole segment, which is another number in a longer one."""
-        if self.looks_ahead:
-            return
+        """Such as a filter that runs both ways, or a sum over a whole segment, which is another in a longer one."""
         signals = self.signals()
         half = len(signals.v_dc) // 2
-        early = half - round(MAX_LOOK_AHEAD_S * signals.sampling_frequency_hz)
         values = self._values("typical")
         one, other = (self._correction(s, values).arrays for s in (signals, _changed_from(signals, half)))
-        moved = {n: float(np.abs(other[n][:early] - x[:early]).max(initial=0.0)) for n, x in one.items() if n in other}
-        seen = {n: change / _largest(one[n]) for n, change in moved.items()}
-        late = {n: percent(100.0 * change) for n, change in seen.items() if change > 1e-9}
         assert one.keys() == other.keys(), "samples after the middle of a segment change which signals it corrects"
+        moved = {n: _moved_rows(x[:half], other[n][:half]) / _largest(x) for n, x in one.items()}
+        ahead = {
+            n: half - int(np.argmax(rows > UNSEEN_CHANGE)) for n, rows in moved.items() if rows.max() > UNSEEN_CHANGE
+        }
+        most = max(ahead.values(), default=0)
+        late = sorted(n for n, samples in ahead.items() if samples > self.look_ahead_samples)
         assert not late, (
-            f"samples after the middle of a segment change {listed(sorted(late))} before it, by up to "
-            f"{max(late.values())}: does a sum or mean run over time instead of the two axes (axis=1)? For an effect "
-            "that knows the future, set looks_ahead = True in the test class"
+            f"correct() looks {most} samples ({1e3 * most / signals.sampling_frequency_hz:g} ms) ahead: "
+            f"{listed(late)} at a sample depend on that many later ones, {self.look_ahead_samples:g} allowed. "
+            f"{_why_ahead(most, half)} Where it is meant, write look_ahead_samples = "
+            f"{'math.inf' if most == half else most} in the test class"
         )
 
     def test_answers_quickly(self) -> None:
@@ -274,6 +278,22 @@ def _changed_from(signals: Signals, start: int) -> Signals:
         if isinstance(x, np.ndarray) and len(x) == samples
     }
     return replace(signals, **update)
+
+
+def _moved_rows(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Largest difference of each row, shape (n,)."""
+    rows: np.ndarray = np.abs(other - one).reshape(len(one), -1).max(axis=1)
+    return rows
+
+
+def _why_ahead(samples: int, half: int) -> str:
+    """What in the code makes a correction look ahead by so many samples, of those up to the change."""
+    if samples == half:
+        return (
+            "From the first sample on: does a sum or mean run over time instead of the two axes (axis=1), or does "
+            "np.roll bring the segment's end to its start?"
+        )
+    return "Is a shift's sign wrong, or does a filter or a smoothing run both ways (filtfilt, a centred window)?"
 
 
 def _largest(x: np.ndarray) -> float:

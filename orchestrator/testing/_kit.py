@@ -36,7 +36,10 @@ class Kit:
         if not self.registered:
             pytest.skip("the kit's author declared that this plugin is not installed")
         entries = [entry for entry in entry_points(group=group) if entry.name == name]
-        assert entries, f"no entry point {name!r} in the group {group!r}; is the package installed?"
+        assert entries, (
+            f"no entry point {name!r} in the group {group!r}: install the package (pip install -e .), or, for a file "
+            "alone, set registered = False in the test class"
+        )
         assert entries[0].load() is plugin, f"the entry point {name!r} leads to {entries[0].value}, not to {plugin!r}"
 
 

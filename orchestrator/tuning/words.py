@@ -12,6 +12,20 @@ from orchestrator.tuning.tuning_report import TuningReport
 LEAST_HARMONICS_PERCENT = 0.01
 """Harmonics over the fundamental that are worth a line."""
 
+FILE_CONTENTS = (
+    ("_int32.h", None),
+    ("_int32.c", "C code in int32, for parts without an FPU, and its .h"),
+    (".h", None),
+    (".c", "C code in float: references, gains, compensation, angle; and its .h"),
+    ("references.csv", "i_d and i_q [A] over torque and flux limit"),
+    ("torque.csv", "largest torque [Nm] and power [W] over speed"),
+    ("compensation.csv", "voltage that a leg loses [V] over its current [A]"),
+    ("tuning.svg", "all of it in one picture"),
+    (".txt", "the current control's settings in this firmware's own words"),
+    ("tuning.json", "the figures above, for programs"),
+)
+"""Endings of the written files and what these hold; a header is named with its source file."""
+
 MIN_OBSERVER_SPEED_RATIO = 0.01
 """Speed over the largest one below which no back-EMF observer works, whatever R_s is: readings drift."""
 
@@ -28,7 +42,7 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
         *_torque_rows(report),
         (
             "current control",
-            f"bandwidth {number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
+            f"bandwidth {number(report.bandwidth_hz, 3)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
         ),
         ("... over the map's errors", f"phase margin at least {report.least_phase_margin_deg:.0f}° at standstill"),
         (
@@ -37,15 +51,15 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
         ),
         (
             "... its integral part",
-            f"bandwidth {number(report.integral_hz)} Hz; its output is limited to "
+            f"bandwidth {number(report.integral_hz, 3)} Hz; its output is limited to "
             f"{quantity(report.integral_limit_v, 'V')}, the bus over √3",
         ),
-        ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
+        ("compensated effects", listed([plain(name) for name in report.compensated]) or "none"),
         *([("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg")] if report.lost_v else []),
         *_harmonics_rows(report),
         (
             "with constant inductances instead",
-            f"torque off by {number(report.constant_inductance_error_percent, 2)} % rms of the largest one",
+            f"torque error {number(report.constant_inductance_error_percent, 2)} % rms, of the largest torque",
         ),
         *_sensorless_rows(report),
     ]
@@ -80,41 +94,45 @@ def _harmonics_rows(report: TuningReport) -> list[tuple[str, str]]:
     return [(name, f"{number(without, 2)} % of the current, with compensation {number(report.harmonics_percent, 2)} %")]
 
 
+def file_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """The written files, each with what it holds."""
+    known = [(name, next((text for end, text in FILE_CONTENTS if name.endswith(end)), "")) for name in report.files]
+    return [(name, text) for name, text in known if text is not None]
+
+
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
     share, error, place = report.injection_works_percent, report.injection_error_deg, report.injection_error_at_a
     rows = []
     if share is not None:
-        at = "" if place is None else f" at {vector(*place)}"
-        worst = "" if error is None else f"; position error at standstill up to {number(error, 3)}°{at}"
         currents = "every current" if share == 100.0 else f"{number(share, 2)} % of the currents"
         limit = quantity(report.current_limit_a, "A")
-        rows.append(("tracking by injection", f"works at {currents} within the limit of {limit}{worst}"))
+        rows.append(("tracking by injection", f"works at {currents} within the limit of {limit}"))
         if (fails := report.injection_fails_at_a) is not None:
-            rows.append(
-                (
-                    "... along the references",
-                    f"works below {vector(*fails)}, {quantity(math.hypot(*fails), 'A')}; from there on too little "
-                    "saliency is left: limit the current there, or use a sensor",
-                )
-            )
+            reach = f"works below (i_d, i_q) = {vector(*fails)}, {quantity(math.hypot(*fails), 'A')}"
+            rows.append(("... along the references", f"{reach}: beyond, the saliency is too small"))
+            rows.append(("", "limit the current there, or use a sensor"))
         elif share < 100.0:
             rows.append(("... along the references", "works at all of them: the others are not used"))
+    if share is not None and error is not None:
+        at = "" if place is None else f", at (i_d, i_q) = {vector(*place)}"
+        rows.append(("... position error", f"at standstill up to {number(error, 3)}° electrical{at}"))
     if report.injection_left_by_map_deg is not None:
-        rows.append(
-            (
-                "... corrected by the map",
-                f"position error at standstill up to {number(report.injection_left_by_map_deg, 3)}°",
-            )
-        )
+        left = number(report.injection_left_by_map_deg, 3)
+        rows.append(("... corrected by the map", f"at standstill up to {left}° electrical"))
+    return [*rows, *_observer_rows(report)]
+
+
+def _observer_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """The speeds from which an observer works, with R_s as it is and with R_s of a winding that is 50 K warmer."""
     warm, cold = report.observer_speed_warm_rpm, report.observer_speed_rpm
     if warm is None or cold is None:
-        rows.append(("back-EMF observer", "position error above 5° at every speed"))
-    else:
-        floor = MIN_OBSERVER_SPEED_RATIO * report.largest_speed_rpm
-        followed = (
-            f"below 5° from {cold:.0f} rpm on where R_s is followed"
-            if cold >= floor
-            else "not limited by R_s where it is followed, but by drift and offsets, which are not counted"
-        )
-        rows.append(("back-EMF observer", f"position error {followed}; else below 5° from {warm:.0f} rpm on"))
-    return rows
+        return [("back-EMF observer", "position error above 5° electrical at every speed")]
+    floor = MIN_OBSERVER_SPEED_RATIO * report.largest_speed_rpm
+    right = f"from {cold:.0f} rpm on" if cold >= floor else "limited by drift and offsets, which are not counted"
+    return [
+        (
+            "back-EMF observer",
+            f"position error below 5° electrical from {warm:.0f} rpm on, with the winding 50 K warmer",
+        ),
+        ("... with R_s of the warm winding", right),
+    ]

@@ -42,6 +42,7 @@ def test_a_case_follows_from_class_index_and_seed() -> None:
     assert parts(draw_case("double", 4, 9)) != parts(draw_case("double", 4, 10))
 
 
+@pytest.mark.slow
 def test_every_effect_foreigner_and_nuisance_has_its_turn() -> None:
     assert {draw_case("single", n, 1).truths[0].name for n in range(len(CATALOGUE))} == set(CATALOGUE)
     assert {draw_case("foreign", n, 1).foreign for n in range(len(FOREIGN))} == set(FOREIGN)

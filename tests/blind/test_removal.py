@@ -52,6 +52,7 @@ def test_without_its_effects_a_bench_is_healthy() -> None:
     assert np.allclose(bench.table.coefficients, bench.table.coefficients[:, ::-1])
 
 
+@pytest.mark.slow
 def test_rows_carry_the_voltage_in_which_they_were_impressed() -> None:
     case = short("clean", 0)
     late = dataclasses.replace(case.bench, drive_delay_samples=1.0)

@@ -14,12 +14,11 @@ import pytest
 
 BUDGET_S = {
     "orchestrator/diagnosis": 40,
-    "orchestrator/interface": 45,
+    "orchestrator/interface": 36,
     "plugins/streams": 25,
-    "plugins/drives": 25,
-    "tests": 25,
+    "plugins/drives": 20,
     "orchestrator/engine": 18,
-    "plugins/commands": 18,
+    "tests": 16,
 }
 """CPU seconds that a room may take on two cores with nothing else to do; see `OTHERS_S`."""
 OTHERS_S = 12

@@ -49,9 +49,7 @@ STAGES: list[dict[str, Any]] = [
     },
     {"kind": "estimate"},
 ]
-"""Eight stages; see `ENERGISED_KINDS` for those that need the drive."""
-
-ENERGISED_KINDS = ("gates_off", "alignment", "lock_check", "resistance", "classical", "injection")
+"""Eight stages; the first six of them need the drive."""
 
 
 def all_effects_but(*names: str) -> list[str]:

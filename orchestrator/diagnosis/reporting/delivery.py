@@ -108,11 +108,11 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     """Objections to the use of a fit's map; parameters as in `delivery_of`."""
     limits, against = fit.criteria, []
     if verdict == "cannot_tell":
-        text = "the recording does not tell whether the model is right: see the diagnosis"
+        text = "the recording does not tell whether the model is right: `explain` has the reasons"
         against.append(Remark.of("cannot_tell", text))
     residual = left_of_excitation(fit)
     if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
-        text = "{left_percent:.2g} % of the voltage is left unexplained"
+        text = "{left_percent:.2g} % of the voltage is left unexplained: `compare` shows where"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
     largest = max(moved, key=lambda name: moved[name], default=None)
     max_percent = limits.verdict.widest_band_percent

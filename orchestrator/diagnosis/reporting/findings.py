@@ -67,7 +67,7 @@ def found_effects(
                     }
                 ),
                 derived=derived_quantities(active, parameters, fit.prepared.manifest.drive),
-                twins=tuple(indistinguishable.get(active.name, ())),
+                twins=tuple(name for name in indistinguishable.get(active.name, ()) if name != active.name),
                 relative_size=active.relative_size,
                 typical=typical_size(active, fit.prepared.manifest.drive),
                 log_evidence=evidence.get(active.name, 0.0),

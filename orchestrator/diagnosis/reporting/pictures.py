@@ -13,7 +13,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
@@ -34,9 +33,7 @@ MIN_DWELL_CURRENT: float = 0.2
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def diagnosis_step(
-    index: int, step: AcceptedModel, setup: DiagnosisSetup, *, known: Rung | None = None
-) -> DiagnosisStep:
+def diagnosis_step(index: int, step: AcceptedModel, *, known: Rung | None = None) -> DiagnosisStep:
     """Figure data of one step of the ladder, for streams, report and file.
 
     Parameters
@@ -44,7 +41,6 @@ def diagnosis_step(
     index : int
         Index in the ladder; 0 for its first model.
     step : AcceptedModel
-    setup : DiagnosisSetup
     known : Rung, optional
         The step's numbers where they are known already; the simulated current's error takes time.
 

@@ -71,7 +71,7 @@ def report_of(
         judgement=None if limits is None else judge(table, limits),
         pairs=pairs(table, against, criteria) if within or against is not None else None,
     )
-    return report.model_copy(update={"remarks": tuple(_remarks(report, criteria))})
+    return report.model_copy(update={"remarks": tuple(_remarks(report))})
 
 
 def _quantity(table: FleetTable, column: Column, limits: FleetLimits | None, criteria: FleetCriteria) -> FleetQuantity:
@@ -117,7 +117,7 @@ def _counts(words: Iterable[str]) -> tuple[CountOf, ...]:
     return tuple(CountOf(what=what, count=count) for what, count in Counter(words).most_common())
 
 
-def _remarks(report: FleetReport, criteria: FleetCriteria) -> list[Remark]:
+def _remarks(report: FleetReport) -> list[Remark]:
     """The report's main results as remarks."""
     remarks = []
     if report.damaged:

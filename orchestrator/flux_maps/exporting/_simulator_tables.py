@@ -28,7 +28,7 @@ def modelica_file(products: Products) -> FileContent:
             f"double {table.name}({matrix.shape[0]},{matrix.shape[1]})",
         ]
         lines += [" ".join(f"{value:.9g}" for value in row) for row in matrix]
-    return _written(products, held, lines)
+    return _written(held, lines)
 
 
 def plecs_file(products: Products) -> FileContent:
@@ -47,7 +47,7 @@ def plecs_file(products: Products) -> FileContent:
             *rows,
             "];",
         ]
-    return _written(products, held, lines)
+    return _written(held, lines)
 
 
 def ltspice_file(products: Products, max_nodes: int = 17) -> FileContent:
@@ -77,7 +77,7 @@ def ltspice_file(products: Products, max_nodes: int = 17) -> FileContent:
         f".ends {products.symbol}_dq",
     ]
     note = f"its 17 x 17 lookup of i deviates from the measured currents by {rms:.2g} A rms, {worst:.2g} A at most"
-    return _written(products, held, lines, note)
+    return _written(held, lines, note)
 
 
 def _sum_of_hats(name: str, axes: list[Array], table: Array) -> str:
@@ -123,7 +123,7 @@ def _over(table: Table) -> str:
     return ", ".join(f"{axis.name} [{_UNITS[axis.unit]}]" for axis in table.axes)
 
 
-def _written(products: Products, held: HeaderTables, lines: list[str], *notes: str) -> FileContent:
+def _written(held: HeaderTables, lines: list[str], *notes: str) -> FileContent:
     filled = int((~held.measured).sum())
     content = ("\n".join(lines) + "\n").encode("ascii")
     return FileContent(content, 100.0 * float(held.measured.mean()), filled_nodes=filled, notes=(*held.notes, *notes))

@@ -109,7 +109,7 @@ def compare(
         open_any(Path(place)),
         every,
         model=chosen_model(model),
-        out=_directory(out),
+        out=_directory(out, writes=False),
         candidates=[effect.name for effect in every if effects and _is_own(effect, effects, installed)],
     )
 
@@ -385,8 +385,8 @@ def _instance(kind: type[Any], where: str) -> Effect:
     return effect
 
 
-def _directory(out: AnyPath | None) -> Path | None:
+def _directory(out: AnyPath | None, *, writes: bool = True) -> Path | None:
     if out is None:
         return None
-    refuse_file(Path(out))
+    refuse_file(Path(out), writes=writes)
     return Path(out)

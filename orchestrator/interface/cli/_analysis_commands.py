@@ -108,14 +108,18 @@ def diagnose_command(
 
 
 @commands.command("explain", epilog="Example: fluxbench explain runs/first")
-def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
+def explain_command(
+    run: DiagnosedArgument,
+    steps: Annotated[bool, typer.Option("--steps", help="List every step of the search, with its gain.")] = False,
+    as_json: JsonOption = False,
+) -> int:
     """Explain a diagnosis.
 
-    The reasons of the verdict, each number with its limit; every step of the search; the evidence for each effect.
+    The reasons of the verdict, each number with its limit; how the search got there; the evidence for each effect.
     """
     from orchestrator.interface.cli._explaining import explain
 
-    return explain(run, as_json)
+    return explain(run, steps, as_json)
 
 
 @commands.command("discover", epilog="Example: fluxbench discover runs/first --write mine.py")

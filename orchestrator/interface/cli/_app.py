@@ -9,6 +9,7 @@ import typer.core
 
 from orchestrator.interface.cli import _analysis_commands, _bench_commands, _file_commands
 from orchestrator.interface.cli._foreign import is_foreign
+from orchestrator.interface.cli.help_text import with_plain_help
 
 ENERGISING = ("run", "resume")
 
@@ -75,4 +76,4 @@ def start(context: typer.Context, _version: VersionOption = False) -> None:
 
 
 for _module in (_bench_commands, _analysis_commands, _file_commands):
-    app.registered_commands += _module.commands.registered_commands
+    app.registered_commands += with_plain_help(_module.commands).registered_commands

@@ -14,7 +14,6 @@ from typing import Any
 
 TRACEBACKS = "traceback.log"
 """File of a run's directory to which tracebacks are appended."""
-_ROOT = Path(__file__).resolve().parents[3]
 
 
 def describe_defect(error: BaseException) -> tuple[str, bool]:

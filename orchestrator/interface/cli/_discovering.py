@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
 RANKED_ROWS = 6
 """Rows of the table of places."""
+RANKING_NOTES = (
+    "place is where a law acts in the motor's equations, over the quantity that it depends on; odd, even or none is "
+    "the symmetry of its curve",
+    "log evidence is the gain in nat over the model without it (5 nat: odds of 150 to 1); of the error: what a free "
+    "curve there removes",
+)
 
 
 def discover(
@@ -53,7 +59,8 @@ Given = Sequence[tuple[str, Path | str]]
 def _print(path: Path, found: Discovery, write: Path | None, given: Given) -> None:
     out = dict(given).get("--out")
     results = Path(out or path) / "results"
-    say(f"{path}: {OUTCOMES[found.outcome]}", f"  {found.reason[0].upper()}{found.reason[1:]}.", "")
+    reason = found.reason.removeprefix("nothing to learn here: ")
+    say(f"{path}: {OUTCOMES[found.outcome]}", f"  {reason[0].upper()}{reason[1:]}.", "")
     if found.ranking:
         ranked = [
             (
@@ -67,6 +74,7 @@ def _print(path: Path, found: Discovery, write: Path | None, given: Given) -> No
             for r in found.ranking[:RANKED_ROWS]
         ]
         say_table(("place", "over", "phase", "law", "log evidence", "of the error"), ranked)
+        say_notes(RANKING_NOTES)
     if found.outcome != "law":
         say(*next_steps(path, found))
         if write is not None:
@@ -106,9 +114,9 @@ def library_advice(path: Path, law: FoundLaw, given: Given) -> list[str]:
 
 def next_steps(path: Path, found: Discovery) -> list[str]:
     """What to measure or try where there is no law."""
-    if found.outcome != "no_law":
-        return []
     run = shlex.quote(str(path))
+    if found.outcome != "no_law":
+        return [f"next: `fluxbench explain {run}` has the reasons of the verdict"]
     best = found.ranking[0] if found.ranking else None
     where = "over a wider range of current, and at a second rotor angle and PWM frequency"
     if best is not None and best.share > 0.0:

@@ -15,37 +15,49 @@ from orchestrator.formatting.explaining import (
     search_rows,
 )
 from orchestrator.formatting.names import VERDICTS, plain
+from orchestrator.formatting.quantities import plural
 from orchestrator.formatting.results import part_notes
+from orchestrator.formatting.search_summary import search_summary
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from protocols import Explanation
 
 
-def explain(path: Path, as_json: bool) -> int:
-    """Print the reasons of the verdict, the search, and the evidence for each named effect."""
+def explain(path: Path, steps: bool, as_json: bool) -> int:
+    """Print the reasons of the verdict, the course of the search, and the evidence for each named effect."""
     explanation = api.explain(path)
     if as_json:
         say_document(explanation.model_dump_json(indent=2))
     else:
-        _print(path, explanation)
+        _print(path, explanation, steps)
     return 0
 
 
-def _print(path: Path, explanation: Explanation) -> None:
+def _print(path: Path, explanation: Explanation, steps: bool) -> None:
+    run = shlex.quote(str(path))
     say(f"{path}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
     say(*(f"  {reason.sentence}" for reason in explanation.reasons))
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
     if explanation.model_changes:
         say(f"  model.json was changed since: {', '.join(explanation.model_changes)}")
-    if explanation.search:
-        say("", "steps of the search (chi2 per degree of freedom, before → after):")
-        say_wide_table(SEARCH_HEAD, search_rows(explanation.search))
-        say_notes(search_legend(explanation.search))
+    search = explanation.search
+    if search:
+        say("", "how the search got there (chi2 per degree of freedom, 1 is noise alone):")
+        say(*(f"  {line}" for line in search_summary(search)))
+        noise = [e.step for e in search if e.move == "noise" and e.data == "whole" and e.decision == "accepted"]
+        if noise:
+            say(f"  the reasons' chi2 counts the noise of step {noise[-1]} from the beginning")
+        if not steps:
+            say(f"  `fluxbench explain {run} --steps` lists all {plural(len(search), 'step')}")
+    if search and steps:
+        say("", "all steps of the search (chi2 per degree of freedom, before → after):")
+        say_wide_table(SEARCH_HEAD, search_rows(search))
+        say_notes(search_legend(search))
     if explanation.effects:
         say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
         say_notes((*part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
     if explanation.to_decide:
         say("", f"to decide: {explanation.to_decide}")
-    say(f"next: {NEXT_STEPS[explanation.verdict].format(run=shlex.quote(str(path)))}")
+    say(f"next: {NEXT_STEPS[explanation.verdict].format(run=run)}")

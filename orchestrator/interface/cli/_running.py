@@ -14,6 +14,12 @@ from orchestrator.interface.cli._app import app
 
 COMPLETING = "_FLUXBENCH_COMPLETE"
 """Environment variable that a shell sets to request completions."""
+WRONG_PLACES = {
+    errno.EISDIR, errno.ENOTDIR, errno.ENOENT, errno.EEXIST, errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG,
+    errno.ELOOP,
+}  # fmt: skip
+"""Errors of the system about a place that the user has named, and no fault of the disk."""
+ANOTHER_PLACE = "; name another file or folder"
 COMPLETION_OPTIONS = ("--install-completion", "--show-completion")
 
 
@@ -47,8 +53,8 @@ def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = No
         return 0
     except OSError as error:
         if error.filename is not None:
-            bad_name = error.errno == errno.ENAMETOOLONG  # a name of the user, and no fault of the disk
-            return _fail(f"{error.filename}: {error.strerror or error}", 2 if bad_name else 3)
+            line = f"{error.filename}: {error.strerror or error}"
+            return _fail(line + ANOTHER_PLACE, 2) if error.errno in WRONG_PLACES else _fail(line, 3)
         if error.errno is None:  # a library's own error, which no call of the system made
             return _explain(error, arguments)
         give_up_broken_output()
@@ -66,7 +72,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
         from orchestrator.interface.cli._usage import usage_line
 
         return _fail(usage_line(error), getattr(error, "exit_code", 2))
-    from protocols import FluxbenchError  # a late import: it takes most of the time of --help
+    from protocols import FluxbenchError, StorageError  # a late import: it takes most of the time of --help
 
     if not isinstance(error, FluxbenchError):
         from orchestrator.extras import how_to_install, missing_extra
@@ -78,6 +84,9 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
 
         line, is_plugins = describe_defect(error)
         return _fail(line + keep_traceback(error, run_among(arguments)), 2 if is_plugins else 3)
+    cause = error.__cause__ or error.__context__
+    if isinstance(error, StorageError) and isinstance(cause, OSError) and cause.errno in WRONG_PLACES:
+        return _fail(f"{error}{ANOTHER_PLACE}", 2)
     return _fail(f"{error}{_place_of(error)}", error.exit_code, getattr(error, "choices", ()))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.sentences import text_table
+from orchestrator.formatting.sentences import columns, text_table
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes
 from orchestrator.interface.cli._refreshing import refresh_report
@@ -44,9 +44,12 @@ def tune(
 
 
 def _print(report: TuningReport, folder: Path) -> None:
-    from orchestrator.tuning.words import figure_rows, headline, notes
+    from orchestrator.tuning.words import figure_rows, file_rows, headline, notes
 
     say(headline(report), "")
     say(text_table(("figure", "value"), figure_rows(report), numbers=False))
     say_notes(notes(report))
-    say(f"written into {folder}: {', '.join(report.files)}")
+    say("", f"written into {folder}:", *(f"  {line}" for line in columns(file_rows(report))))
+    code = next((name for name in report.files if name.endswith("_drive.c")), None)
+    if code is not None:
+        say(f"next: compile {code} with your firmware; the comment at the head of its .h shows a control period")

@@ -16,8 +16,7 @@ VOLTAGES = 24  # commanded voltages (alpha, beta) of the last four samples, newe
 DELAYED = 5
 INTEGRAL_D, INTEGRAL_Q, COMMAND_D, COMMAND_Q, OVERLOAD, BUS, FILTERED_D, FILTERED_Q, IRON_D, IRON_Q = range(34, 44)
 CORE_D, CORE_Q, DAMPER_D, DAMPER_Q, HOUSING, AMBIENT = range(44, 50)
-SWITCHED = 50
-"""Start of the state of the switched inverter and its sensors (`_switching`, `_sensing`)."""
+# The switched inverter and its sensors (`_switching`, `_sensing`).
 SUPPLY, JUNCTION, CARRIER = 50, 51, 52
 """True bus voltage [V], the devices' temperature rise [K], carrier direction at the next row (0: rising)."""
 LEVEL, DUE = 53, 56

@@ -301,8 +301,8 @@ def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
     classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
-        maps = {"classical": classical, "injection": injection}
-        missing = listed([name for name, grid in maps.items() if grid is None])
+        methods = ("sweeps", classical), ("injection", injection)
+        missing = listed([name for name, grid in methods if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))

@@ -61,6 +61,7 @@ def test_a_recording_is_whole_and_tells_nothing(tmp_path: Path) -> None:
     assert str(case.rig.plant.resistance) not in manifest
 
 
+@pytest.mark.slow
 def test_a_healthy_plant_agrees_with_its_own_map() -> None:
     case = synrm_case("rotor_misalignment")
     healthy = replace(case.rig, plant=case.rig.plant._replace(misaligned=0.0))

@@ -108,7 +108,7 @@ def test_a_wrong_belief_turns_the_hessian() -> None:
     assert ripple.hessian[0, 1] == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0, 100.0])
+@few("resistance", [1.0, 4.3, 20.0, 100.0], fast=2)
 def test_resistance_does_not_enter(resistance: float) -> None:
     ripple = demodulate(capture_of(injected(resistance=resistance, saturated=False), 0), 0.0, discard_s=0.1)
     assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 4e-4)
@@ -257,7 +257,7 @@ def test_a_wave_that_current_control_answers_on_the_other_axis_does_not_turn() -
         assert abs((np.sin, np.cos)[axis](angle)) < 0.2
 
 
-@pytest.mark.parametrize("turns", [0.15, 0.25, 1.0])
+@few("turns", [0.15, 0.25, 1.0])
 def test_a_wave_that_turns_a_little_is_none_along_one_axis(turns: float) -> None:
     capture = capture_of(injected(rotation=turns * SAMPLING_HZ / 5000), 0)
     assert fixed_axis_rad(capture.v_ab) is None

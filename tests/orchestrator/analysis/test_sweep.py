@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import FluxPath, evaluate_sweep, find_dwells, join_paths
+from orchestrator.analysis import FluxPath, Sweep, find_dwells, flux_from_dwells, join_paths, sweep_of, trace_sweep
 from protocols import Capture, NotMeasuredError
 from tests.orchestrator.analysis.campaign import PERIOD_S, follow, trapezoid
 from tests.orchestrator.analysis.plant import (
@@ -44,6 +44,11 @@ def swept(inverter: bool = False, periods: int = 2, from_elsewhere: bool = False
     )
 
 
+def evaluate(capture: Capture, angle_rad: float = 0.0, resistance_ohm: float | None = R_S, delay: float = 0.0) -> Sweep:
+    trace = trace_sweep(capture, angle_rad, delay=delay, where="classical-3")
+    return sweep_of(trace, flux_from_dwells(trace, resistance_ohm))
+
+
 def off_percent(path: FluxPath) -> float:
     truth = flux_for(path.current, saturated_current)
     off = (path.psi - path.psi.mean(axis=0)) - (truth - truth.mean(axis=0))
@@ -52,39 +57,39 @@ def off_percent(path: FluxPath) -> float:
 
 @few("point", range(3))
 def test_flux_along_a_path_is_right_to_half_a_percent(point: int) -> None:
-    sweep = evaluate_sweep(capture_of(swept(), point, noise_a=2e-3), 0.0, resistance_ohm=R_S)
+    sweep = evaluate(capture_of(swept(), point, noise_a=2e-3))
     assert off_percent(sweep.path) < 0.5
 
 
 @pytest.mark.parametrize("point", range(3))
 def test_a_wrong_resistance_is_put_right_by_the_rests(point: int) -> None:
     capture = capture_of(swept(), point)
-    right, wrong, unknown = (evaluate_sweep(capture, 0.0, resistance_ohm=r).path for r in (R_S, 1.1 * R_S, None))
+    right, wrong, unknown = (evaluate(capture, resistance_ohm=r).path for r in (R_S, 1.1 * R_S, None))
     assert np.abs(wrong.psi - right.psi).max() < 5e-3 * RATED_WB
     assert np.abs(unknown.psi - right.psi).max() < 5e-3 * RATED_WB
 
 
 @pytest.mark.slow
 def test_both_directions_together_are_free_of_the_inverters_error() -> None:
-    sweep = evaluate_sweep(capture_of(swept(inverter=True), 0), 0.0, resistance_ohm=R_S)
+    sweep = evaluate(capture_of(swept(inverter=True), 0))
     assert sweep.loop_wb.max() > 0.2 * RATED_WB
     assert off_percent(sweep.path) < 2.0
 
 
 @pytest.mark.slow
 def test_the_way_to_the_start_of_the_path_is_left_out() -> None:
-    sweep = evaluate_sweep(capture_of(swept(from_elsewhere=True), 1), 0.0, resistance_ohm=R_S)
+    sweep = evaluate(capture_of(swept(from_elsewhere=True), 1))
     assert np.abs(sweep.path.current[:, 0] - 1.5).max() < 0.05
     assert off_percent(sweep.path) < 0.6
 
 
 def test_one_period_is_enough() -> None:
-    assert off_percent(evaluate_sweep(capture_of(swept(periods=1), 0), 0.0, resistance_ohm=R_S).path) < 0.6
+    assert off_percent(evaluate(capture_of(swept(periods=1), 0)).path) < 0.6
 
 
 def test_frame_and_delay_are_accounted_for() -> None:
-    straight = evaluate_sweep(capture_of(swept(), 2), 0.0, resistance_ohm=R_S).path
-    turned = evaluate_sweep(capture_of(swept(), 2, angle=2.2, delay=3), 2.2, delay=3.0, resistance_ohm=R_S).path
+    straight = evaluate(capture_of(swept(), 2)).path
+    turned = evaluate(capture_of(swept(), 2, angle=2.2, delay=3), 2.2, delay=3.0).path
     assert np.abs(turned.psi - straight.psi).max() < 1e-3 * RATED_WB
 
 
@@ -101,7 +106,7 @@ def test_current_that_never_comes_back_is_refused() -> None:
         start_s=0.0, sampling_frequency_hz=SAMPLING_HZ, i_ab=ramp, v_ab=R_S * ramp, v_dc=np.full(2000, 540.0)
     )
     with pytest.raises(NotMeasuredError, match="classical-3"):
-        evaluate_sweep(capture, 0.0, resistance_ohm=R_S, where="classical-3")
+        evaluate(capture)
 
 
 def path_along(a: tuple[float, float], b: tuple[float, float], shift: float) -> FluxPath:
@@ -147,6 +152,6 @@ def test_a_triangle_that_begins_at_rest_in_its_middle_is_swept_to_and_fro() -> N
         substeps=1,
     )
     for point in range(3):
-        path = evaluate_sweep(capture_of(run, point, noise_a=2e-3), 0.0, resistance_ohm=R_S).path
+        path = evaluate(capture_of(run, point, noise_a=2e-3)).path
         assert off_percent(path) < 0.6
         assert np.ptp(path.current @ SWEPT[point]) > 5.9

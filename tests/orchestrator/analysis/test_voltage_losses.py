@@ -11,6 +11,7 @@ import pytest
 from orchestrator.analysis import KNOTS, SweepTrace, VoltageLosses, close_loops, flux_from_dwells, sweep_of, trace_sweep
 from tests.orchestrator.analysis.plant import R_S, SAMPLING_HZ, Array, capture_of, flux_for, saturated_current
 from tests.orchestrator.analysis.test_sweep import RATED_WB, off_percent, swept
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 KNOTS_A = KNOTS * 3.35
@@ -48,7 +49,7 @@ def test_where_there_is_no_inverter_none_is_found() -> None:
     assert np.abs(losses_of(False).error_v).max() < 0.05
 
 
-@pytest.mark.parametrize("inverter", [False, True], ids=["clean", "dead time"])
+@few("inverter", [True, False], ids=["dead time", "clean"])
 def test_resistance_and_its_drift_are_found(inverter: bool) -> None:
     losses = losses_of(inverter, heating=0.1)
     assert len(losses.node_ohm) == 4
@@ -64,6 +65,7 @@ def test_loops_close_and_the_path_is_right() -> None:
         assert off_percent(closed.path) < 0.5
 
 
+@pytest.mark.slow
 def test_the_heat_within_a_sweep_is_reported_from_the_rise_between_sweeps() -> None:
     """Nine sweeps, R_s following the integral of the squared current; alone, it would look like more inductance."""
     slope, out, heat, start_s = 4e-3, [], 0.0, 0.0

@@ -54,6 +54,7 @@ def test_the_step_of_the_bare_model_has_no_effect_and_the_error_of_the_compariso
     assert step.rms_v > 2.0 * step.noise_rms_v
 
 
+@pytest.mark.slow
 def test_each_pwm_frequency_of_a_stage_has_a_row_of_its_own(at_two_pwm_frequencies: Recording, tmp_path: Path) -> None:
     rows = compare_recording(at_two_pwm_frequencies, out=tmp_path).stages
     of_holds = {row.pwm_frequency_hz: row.rms_v or 0.0 for row in rows if row.stage == "resistance"}

@@ -220,6 +220,7 @@ def test_words_name_cause_size_and_what_to_do(diagnosed: Diagnosis) -> None:
     assert "resistance stage" in words.to_decide
 
 
+@pytest.mark.slow
 def test_misalignment_has_the_sign_true_minus_believed(misaligned: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(misaligned, LIBRARY, out=tmp_path).report
     assert [e.name for e in report.effects] == ["rotor_misalignment"]
@@ -300,6 +301,7 @@ def test_ladder_climbs_from_the_nameplate(misaligned: Recording, tmp_path: Path)
     assert errors == sorted(errors, key=lambda e: -(e or 0.0))
 
 
+@pytest.mark.slow
 def test_effects_are_added_and_removed_by_name(misaligned: Recording, tmp_path: Path) -> None:
     before = _digest(misaligned)
     added = add_effects(misaligned, ["rotor_misalignment"], LIBRARY, out=tmp_path)

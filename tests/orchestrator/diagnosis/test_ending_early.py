@@ -79,8 +79,8 @@ def test_what_was_found_so_far_is_fitted_to_the_whole_and_reported_as_unfinished
 @pytest.mark.parametrize(
     ("who", "report_early"),
     [
-        pytest.param(Impatient(KeyboardInterrupt), False, id="nobody wants a report"),
-        pytest.param(Impatient(KeyboardInterrupt, times=2), True, id="the second time"),
+        pytest.param(Impatient(KeyboardInterrupt), False, id="nobody wants a report", marks=pytest.mark.slow),
+        pytest.param(Impatient(KeyboardInterrupt, times=2), True, id="the second time", marks=pytest.mark.slow),
         pytest.param(Impatient(RunInterrupted), True, id="a run is stopped", marks=pytest.mark.slow),
         pytest.param(Impatient(KeyboardInterrupt, words="searching for missing"), True, id="nothing was found yet"),
     ],

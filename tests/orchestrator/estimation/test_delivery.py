@@ -119,7 +119,7 @@ def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
     deliver(tmp_path)
     results = tmp_path / "results"
     with h5netcdf.File(results / "flux_map.nc", "r") as file:
-        assert file.attrs["model"] == "diagnosed: saturated + dead_time"
+        assert file.attrs["model"] == "fitted: saturated + dead_time"
     with h5netcdf.File(results / f"flux_map_{own.method}.nc", "r") as file:
         assert file.attrs["model"].startswith(f"estimator {own.method}")
 

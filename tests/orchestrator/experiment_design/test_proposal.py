@@ -59,6 +59,7 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
     assert two > 100.0 * max(one, 1.0)
 
 
+@pytest.mark.slow
 def test_what_is_already_separated_gains_little_by_reading_gates_off(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
 ) -> None:

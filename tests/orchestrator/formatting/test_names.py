@@ -24,6 +24,8 @@ def test_slots_that_are_filled_come_in_their_order() -> None:
         ("bias_a_v", "bias a"),
         ("rise_per_watt", "rise"),
         ("corner_hz", "corner"),
+        ("rate_a_a_per_s", "rate a"),
+        ("settling_per_s", "settling"),
         ("gain_a_minus_b", "gain a minus b"),
         ("per_watt", "change by power"),
         ("rad_per_nm", "twist by torque"),

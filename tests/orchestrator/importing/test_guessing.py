@@ -212,7 +212,7 @@ def test_the_command_writes_a_mapping_that_imports(
     assert run_app(["import", "log.yaml"]) == 2
 
 
-@pytest.mark.parametrize("hz", [4.0, 20.0, 100.0])
+@few("hz", [20.0, 4.0, 100.0])
 def test_slow_square_waves_about_held_currents_are_injections(tmp_path: Path, hz: float) -> None:
     ohm, henry, rate = 0.4, 1e-3, 1e4
     points = [(2.0, 0.0), (0.0, 5.0), (0.0, 0.0)]
@@ -338,7 +338,7 @@ def holds(count: int, pause_s: float) -> dict[str, Numbers]:
     return {"t": t, "i_alpha": held + noise[0], "i_beta": noise[1], "u_alpha": 4.0 * held, "u_beta": 0.0 * held}
 
 
-@pytest.mark.parametrize("pause_s", [0.0, 1.0])
+@few("pause_s", [0.0, 1.0])
 def test_many_holds_without_labels_are_found_one_by_one(tmp_path: Path, pause_s: float) -> None:
     log = holds(25, pause_s)
     many = {name: np.concatenate([x, x]) for name, x in log.items()}

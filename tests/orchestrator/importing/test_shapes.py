@@ -127,6 +127,7 @@ def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm
     assert np.sqrt(np.mean(off**2)) < 0.025 * np.sqrt(np.mean(log.v**2))  # a thirtieth of a sample, with square waves
 
 
+@pytest.mark.slow
 def test_points_that_follow_each_other_in_equal_times_are_separated_by_their_means(desk: Desk) -> None:
     names = tuple(f"injection-{k:03d}" for k in (2, 4, 7, 10, 11, 12))
     log = log_of(names)

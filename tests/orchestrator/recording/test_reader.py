@@ -88,7 +88,7 @@ def test_segments_come_in_order_of_time_and_by_stage(make_recording: Make) -> No
 def test_settings_of_a_segment_are_passed_on(make_recording: Make) -> None:
     segment = open_recording(make_recording()).segments()[0]
     assert segment.settings == {"pwm_frequency_hz": 2e4, "anchor": True}
-    assert segment.is_anchor
+    assert segment.settings["anchor"] is True
 
 
 def test_a_recording_of_another_tool_is_read_whole() -> None:

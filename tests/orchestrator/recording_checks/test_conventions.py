@@ -38,7 +38,7 @@ def test_settings_are_not_needed(right: Rewritten) -> None:
     assert find_convention(right.with_segments(lambda _: {"settings": {}})) is None
 
 
-@few("name", CATALOGUE, fast=3)
+@few("name", CATALOGUE, fast=2)
 def test_no_effect_at_its_largest_is_a_convention(name: str, tmp_path: Path) -> None:
     size, case = CATALOGUE[name], draw_case("clean", 1, 1)
     largest = size.low if size.inverse else size.high

@@ -227,9 +227,9 @@ class Mine:
             "write layer = EffectLayer.CURRENT_SENSORS (or DELAY, BUS, INVERTER",
         ),
         (("    needs = ()\n", ""), "write needs = ()"),
-        (("    gauge = ", "    gage = "), 'write gauge = "..."'),
+        (("    gauge = ", "    gage = "), "the class has 'gage': did you mean 'gauge'?"),
         (("class Parameters(", "class Settings("), "write class Parameters(EffectParameters) in it"),
-        (("def correct", "def korrect"), "a method correct(self, signals, parameters); `fluxbench new effect NAME`"),
+        (("def correct", "def korrect"), "the class has 'korrect': did you mean 'correct'?"),
     ],
 )
 def test_what_a_new_effect_lacks_is_stated_with_what_to_write(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -391,7 +392,29 @@ def test_an_effect_that_does_not_scale_with_the_machine_is_told_why(
     assert "the effect should scale alike, but differs by" in message
 
 
-def test_an_effect_that_knows_the_future_may_say_so(tmp_path: Path) -> None:
-    kit = kit_for(SumsOverTime)
-    type(kit).looks_ahead = True
-    assert failures(kit, tmp_path, only="later_sample_changes_nothing") == {}
+class LooksAhead(ExampleEffect):
+    """A shift with the wrong sign: each sample gets a current of 50 samples later."""
+
+    class Parameters(EffectParameters):
+        extra_ohm: float = amplitude("ohm", typical=0.2, prior_width=0.3, low=-20.0, high=20.0)
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        later = np.concatenate([signals.i_ab[50:], np.repeat(signals.i_ab[-1:], 50, axis=0)])
+        return Correction(v_ab=signals.v_ab - p.extra_ohm * later)
+
+
+@pytest.mark.parametrize(
+    ("effect", "said", "declared"),
+    [(LooksAhead, "looks 50 samples (5 ms) ahead", 50), (SumsOverTime, "From the first sample on", math.inf)],
+)
+def test_an_effect_that_looks_ahead_is_told_by_how_many_samples(
+    tmp_path: Path, effect: type[ExampleEffect], said: str, declared: float
+) -> None:
+    kit, check = kit_for(effect), "later_sample_changes_nothing"
+    (message,) = failures(kit, tmp_path / "undeclared", only=check).values()
+    assert said in message
+    assert f"write look_ahead_samples = {'math.inf' if math.isinf(declared) else declared}" in message
+    type(kit).look_ahead_samples = declared
+    assert failures(kit, tmp_path / "declared", only=check) == {}
+    type(kit).look_ahead_samples = 49
+    assert failures(kit, tmp_path / "less", only=check) != {}

@@ -34,6 +34,7 @@ def benefits(tables: Tables, motor: Motor | None = None) -> Benefits:
     return benefits_of(machine, LIMITS, tables.references, tables.control, tables.compensation)
 
 
+@pytest.mark.slow
 def test_the_harmonics_without_compensation_are_those_of_the_c_code_and_its_plant(
     tables: Tables, tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from tests.orchestrator.tuning.closed_loop import Loop, Plant
 from tests.orchestrator.tuning.functions import HostFunctions
 from tests.orchestrator.tuning.tables import LIMITS, Tables, exact_compensation, tables_of
+from tests.support.cases import few
 
 PLANT = Plant()
 INVERTER = Plant(dead_time=2e-6, drop_v=1.0, drop_ohm=0.02)
@@ -109,14 +110,15 @@ def test_torque_is_the_one_commanded_over_torque_and_speed(loop: Loop, tables: T
     points = reachable(loop)
     assert len(points) > 40
     errors = {}
-    for name, each in (("flux map", loop), ("constant L", by_nameplate)):
-        reached = np.array([settled(each, PLANT, t, w)["torque"].mean() for w, t in points])
-        errors[name] = float(np.sqrt(np.mean((reached - [t for _, t in points]) ** 2))) / LARGEST_TORQUE_NM
+    for name, each, at in (("flux map", loop, points), ("constant L", by_nameplate, points[::3])):
+        reached = np.array([settled(each, PLANT, t, w)["torque"].mean() for w, t in at])
+        errors[name] = float(np.sqrt(np.mean((reached - [t for _, t in at]) ** 2))) / LARGEST_TORQUE_NM
         print(f"{name}: torque {100 * errors[name]:.3f} % rms")
     assert errors["flux map"] <= 0.005
     assert errors["constant L"] > 4.0 * errors["flux map"]
 
 
+@pytest.mark.slow
 def test_a_warm_winding_whose_temperature_is_known_costs_torque_and_keeps_the_voltage_s_reserve(
     tables: Tables, make: Make
 ) -> None:
@@ -140,7 +142,7 @@ def test_more_torque_than_there_is_gives_the_largest(loop: Loop) -> None:
         assert (end["report"] == 1).all()
 
 
-@pytest.mark.parametrize("speed", [0.0, 800.0, 1500.0, 2200.0, 3000.0, -2200.0])
+@few("speed", [0.0, 800.0, 1500.0, 2200.0, 3000.0, -2200.0], fast=3)
 def test_steps_of_torque_stay_within_current_and_voltage(loop: Loop, speed: float) -> None:
     command = np.repeat([3.0, -3.0, 10.0, -10.0, 10.0, 0.0], 200)
     run = loop.run(PLANT, ramp(speed, command))
@@ -202,7 +204,7 @@ def margin_deg(frequency: Array, response: Complex) -> float:
     return phase % 360.0 - 180.0
 
 
-@pytest.mark.parametrize("i_dq", CURRENTS_A)
+@few("i_dq", CURRENTS_A)
 def test_phase_margin_at_standstill_is_the_one_promised(loop: Loop, tables: Tables, i_dq: list[float]) -> None:
     frequency, response = open_loop(loop, PLANT, np.array(i_dq), 0.0, range(25, 60, 5))
     for column in response.T:
@@ -217,6 +219,7 @@ def softer(plant: Plant, d: float, q: float, cross: float) -> Plant:
     return dataclasses.replace(plant, **inductances)
 
 
+@pytest.mark.slow
 def test_phase_margin_at_the_band_s_edge_is_the_one_promised(uncertain: Tables, make: Make) -> None:
     least = 1.0 - 1.96 * RELATIVE_STD
     plant = softer(PLANT, least, least, least)
@@ -230,7 +233,7 @@ def test_phase_margin_at_the_band_s_edge_is_the_one_promised(uncertain: Tables, 
     assert found > least_deg - 2.0
 
 
-@pytest.mark.parametrize("speed", [0.0, 700.0, 1400.0])
+@few("speed", [1400.0, 700.0, 0.0])
 def test_phase_margin_at_speed_is_that_of_its_formula(loop: Loop, tables: Tables, speed: float) -> None:
     frequency, response = open_loop(loop, PLANT, np.array([-5.0, 8.0]), speed, range(15, 85, 10))
     least = []
@@ -256,7 +259,7 @@ def harmonics(run: dict[str, Array], period: int, turns: int) -> Array:
     return np.abs(spectrum[[turns, 5 * turns, 7 * turns]])
 
 
-@pytest.mark.parametrize("torque", [1.0, 8.0])
+@few("torque", [1.0, 8.0])
 def test_compensation_removes_the_inverter_s_harmonics_at_two_per_cent_speed(
     tables: Tables, make: Make, torque: float
 ) -> None:
@@ -300,7 +303,7 @@ def least_loss(torque: float, speed: float) -> float:
     return float(np.where(allowed, (i**2).sum(axis=-1), np.inf).min())
 
 
-@pytest.mark.parametrize("speed", [100.0, 1500.0, 2000.0, 2500.0, 3000.0])
+@few("speed", [100.0, 1500.0, 2000.0, 2500.0, 3000.0], fast=2)
 def test_copper_loss_is_the_least_for_the_torque(loop: Loop, speed: float) -> None:
     """Within the voltage that the references may use, motoring and braking."""
     for torque in (1.0, 3.0, 5.0, 8.0, -1.0, -5.0):

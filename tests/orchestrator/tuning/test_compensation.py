@@ -348,6 +348,7 @@ class LegOnResistance:
         return Correction(v_ab=signals.v_ab - from_phases(legs), i_ab=signals.i_ab + 1e-5 * slope)
 
 
+@pytest.mark.slow
 def test_an_effect_that_nobody_knows_is_probed_as_well() -> None:
     effect = LegOnResistance()
     found = one(effect, channel_ohm=0.2)
@@ -386,6 +387,7 @@ def test_a_loss_of_some_legs_is_not_spread_over_all(legs: tuple[float, ...], whe
     assert left.reason == f"{where}; the code has one table for all legs"
 
 
+@pytest.mark.slow
 def test_a_loss_that_is_nearly_alike_in_all_legs_is_compensated() -> None:
     assert one(PoorJoint(1.1, 1.0, 0.9), channel_ohm=0.2).sources == ("poor_joint",)
 

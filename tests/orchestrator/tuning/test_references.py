@@ -16,6 +16,7 @@ from orchestrator.tuning.machine import Machine
 from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit, largest_torque
 from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
+from tests.support.cases import few
 
 LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=700.0, sampling_hz=10e3)
 BURIED = (0.03, 0.07, 0.25)
@@ -31,7 +32,7 @@ def references_of(name: str) -> CurrentReferences:
     return current_references(MACHINES[name], LIMITS)
 
 
-@pytest.fixture(params=sorted(MACHINES))
+@pytest.fixture(params=["no magnet", "saturated", pytest.param("buried magnets", marks=pytest.mark.slow)])
 def tuned(request: pytest.FixtureRequest) -> tuple[Machine, CurrentReferences]:
     return MACHINES[request.param], references_of(request.param)
 
@@ -112,8 +113,8 @@ def test_a_machine_without_magnet_and_saliency_is_refused() -> None:
             current_references(machine(linear(0.05, 0.05 + difference, 0.0)), LIMITS)
 
 
-@pytest.mark.parametrize(
-    ("known", "message"),
+@few(
+    "known, message",
     [
         (lambda d, q: np.hypot(d, q) > 1.5, "the map has holes, or lacks currents near zero"),
         (lambda d, q: d > 1.5, "the map has holes, or lacks currents near zero"),

@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.tuning.benefits import ripple_of
 from orchestrator.tuning.tuning_report import TuningReport
-from orchestrator.tuning.words import figure_rows
+from orchestrator.tuning.words import figure_rows, file_rows
 
 
 def a_report(**changed: object) -> TuningReport:
@@ -37,23 +37,32 @@ def test_a_torque_that_the_speed_limit_ends_is_told_from_one_that_the_voltage_en
 
 def test_position_errors_and_margins_name_their_speed_and_the_integral_part_its_limit() -> None:
     rows = dict(figure_rows(a_report()))
-    assert "at standstill up to 23.5°" in rows["tracking by injection"]
+    assert rows["... position error"] == "at standstill up to 23.5° electrical, at (i_d, i_q) = (+0.400, +2.300) A"
     assert "at standstill up to 0.295°" in rows["... corrected by the map"]
     assert rows["... at the largest speed"] == "phase margin at least 58° at 1800 rpm"
     assert "its output is limited to 227 V" in rows["... its integral part"]
 
 
 def test_an_observer_has_no_speed_below_what_drift_allows() -> None:
-    assert "below 5° from 45 rpm on where R_s" in dict(figure_rows(a_report()))["back-EMF observer"]
-    row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["back-EMF observer"]
-    assert "not limited by R_s where it is followed" in row
-    assert "0 rpm" not in row
+    rows = dict(figure_rows(a_report()))
+    assert rows["back-EMF observer"].startswith("position error below 5° electrical from 356 rpm on")
+    assert rows["... with R_s of the warm winding"] == "from 45 rpm on"
+    row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["... with R_s of the warm winding"]
+    assert row == "limited by drift and offsets, which are not counted"
+
+
+def test_each_file_has_its_content_beside_it() -> None:
+    files = ("tuning.json", "torque.csv", "m_drive.h", "m_drive.c", "m_drive_int32.h", "m_drive_int32.c", "vesc.txt")
+    rows = dict(file_rows(a_report(files=files)))
+    assert list(rows) == ["tuning.json", "torque.csv", "m_drive.c", "m_drive_int32.c", "vesc.txt"]
+    assert all(rows.values())
+    assert "int32" in rows["m_drive_int32.c"]
 
 
 def test_where_tracking_fails_is_stated_along_the_references() -> None:
     part = {"injection_works_percent": 59.0}
     rows = dict(figure_rows(a_report(**part, injection_fails_at_a=(-3.0, 4.0))))
-    assert "works below (−3.000, +4.000) A, 5 A" in rows["... along the references"]
+    assert "works below (i_d, i_q) = (−3.000, +4.000) A, 5 A" in rows["... along the references"]
     assert dict(figure_rows(a_report(**part)))["... along the references"].startswith("works at all of them")
     assert "... along the references" not in dict(figure_rows(a_report()))
 

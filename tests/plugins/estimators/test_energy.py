@@ -57,6 +57,7 @@ def test_its_inductances_are_the_inverse_hessian() -> None:
         assert np.sqrt(np.nanmean(off**2)) < 0.003 * np.nanmean(inductance[..., 1, 1])
 
 
+@pytest.mark.slow
 def test_its_standard_deviations_are_of_the_errors_size() -> None:
     found = energy_of(False)
     truth = flux_for(nodes_of(found), saturated_current)

@@ -76,6 +76,7 @@ def test_the_interval_is_that_of_repetitions() -> None:
     assert np.std([f.resistance_ohm for f in fits]) == pytest.approx(np.median([f.std_ohm for f in fits]), rel=0.4)
 
 
+@pytest.mark.slow
 def test_an_inverter_that_keeps_nothing_makes_no_resistance_uncertain() -> None:
     """Its step may have any shape where it has no size: along a hexagon one of them is nearly a resistance."""
     turn = np.repeat(np.arange(6) * np.pi / 3.0, 3)

@@ -80,7 +80,7 @@ def at_rest(stepped: SteppedFlux) -> tuple[Array, Array]:
     return np.array([m.l_dd[d, q], m.l_qq[d, q]]), np.array([m.l_dd_std[d, q], m.l_qq_std[d, q]])
 
 
-@few("rows_a_constant", [0.5, 1.2, 4.0], fast=2)
+@few("rows_a_constant", [4.0, 1.2, 0.5])
 def test_rows_of_the_control_itself_give_the_inductance_however_slow_they_are(rows_a_constant: float) -> None:
     rate_hz = rows_a_constant * OHM / HENRY[0]
     v = stepped_voltage(max(5, round(4.0 * rows_a_constant)), 3000)
@@ -89,6 +89,7 @@ def test_rows_of_the_control_itself_give_the_inductance_however_slow_they_are(ro
     assert (np.abs(value - HENRY) < 1.96 * std).all()
 
 
+@pytest.mark.slow
 def test_means_slower_than_the_control_leave_the_map_unusable_and_its_band_holds_the_truth() -> None:
     recording = telemetry()
     stepped = found(recording)

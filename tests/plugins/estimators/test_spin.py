@@ -110,6 +110,7 @@ def test_a_winding_that_warms_is_no_loss_of_the_inverter() -> None:
     assert remark_value(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(1.015 * R_S, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_an_offset_of_the_angle_is_reported_in_either_direction_of_turning() -> None:
     estimate = found(spun(GRID, speeds=(150.0, -250.0), offset=0.04))
     assert remark_value(estimate, "angle_offset", "angle_deg") == pytest.approx(np.degrees(0.04), abs=0.05)

@@ -223,6 +223,7 @@ def test_captures_of_a_weakly_salient_motor_become_long_enough_to_tell(row: tupl
     assert "times as long" in note
 
 
+@pytest.mark.slow
 @few("moved_deg", [MOVED_DEG, -MOVED_DEG])
 def test_a_rotation_at_the_first_torque_is_seen_in_longer_captures(moved_deg: float) -> None:
     motor, limits, drive = bench(MOTORS[9], 0.2e-6)
@@ -246,7 +247,7 @@ def test_captures_are_no_longer_than_the_drive_takes() -> None:
     assert [segment.samples / sampling_hz for segment in run.segments] == pytest.approx([0.5] + 5 * [1.5])
 
 
-@few("friction", [0.0, 0.02, 0.3], fast=2)
+@few("friction", [0.3, 0.02, 0.0])
 @pytest.mark.parametrize(
     "row", [MOTORS[4], MOTORS[8], MOTORS[11]], ids=["outrunner", "salient", "reluctance outweighs"]
 )

@@ -106,7 +106,7 @@ def test_every_point_is_measured_once_whatever_happened(run: Path) -> None:
     assert soaked(run) == [f"thermal_soak-{k:03d}" for k in range(POINTS)]
     segments = open_recording(run).segments(SegmentStage.RESISTANCE)
     assert [segment.id for segment in segments] == soaked(run)
-    assert all(segment.is_anchor and segment.settings["current_d_a"] == 2.0 for segment in segments)
+    assert all(segment.settings["anchor"] and segment.settings["current_d_a"] == 2.0 for segment in segments)
 
 
 def test_its_state_is_the_run_s_and_its_title_is_stated(run: Path) -> None:

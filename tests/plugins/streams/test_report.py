@@ -238,7 +238,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
     (run / "results" / "flux_map_classical.nc").unlink()
     page = page_of(run)
     assert "By injection alone." in page.text
-    assert "Not drawn: it needs the maps by both methods; there is none by classical." in page.text
+    assert "Not drawn: it needs the maps by both methods; there is none by sweeps." in page.text
 
 
 @pytest.mark.usefixtures("without_figures")

@@ -163,6 +163,7 @@ def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
     assert with_finest_map(setup, setup.fitter, fit) is finest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_come_to(
     sharp: DiagnosisSetup, rests: bool
@@ -193,6 +194,7 @@ def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_no_finer_map_alon
     assert fit.chi2_per_dof - 1.0 < 0.1 * (usual.chi2_per_dof - 1.0)
 
 
+@pytest.mark.slow
 def test_without_a_kink_such_iron_gets_a_finer_map_along_that_axis_alone(sharp_fit_without_kink: Fit) -> None:
     d, q = sharp_fit_without_kink.model.space.grid.cells
     assert q >= 20
@@ -209,6 +211,7 @@ def test_a_kink_has_more_evidence_on_such_iron_and_less_on_a_linear_machine(
     assert map_log_evidence(with_kink_switched(setup, setup.fitter, linear_fit)) < map_log_evidence(linear_fit)
 
 
+@pytest.mark.slow
 def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
     sharp: DiagnosisSetup, sharp_fit_without_kink: Fit, setup: DiagnosisSetup, linear_fit: Fit
 ) -> None:

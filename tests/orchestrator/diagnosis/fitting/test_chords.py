@@ -77,6 +77,7 @@ def test_an_amplitude_that_is_no_multiple_of_its_secant_is_reached() -> None:
     assert 0.5 * np.tanh(10.0 * reached.model.active[0].values["size"]) == pytest.approx(0.15, rel=0.02)
 
 
+@pytest.mark.slow
 def test_steps_that_a_new_frame_undoes_are_not_made_again_and_again(maker: Fitter) -> None:
     tried: list[float] = []
 

@@ -1,6 +1,7 @@
 """Local roughness of a map: where it comes from, and that the evidence prefers it."""
 
 import numpy as np
+import pytest
 
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -16,6 +17,7 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import Saturated
 
 
+@pytest.mark.slow
 def test_iron_that_bends_at_zero_flux_is_rough_there_and_smooth_elsewhere(sharp_fit_without_kink: Fit) -> None:
     roughness = estimated_roughness(sharp_fit_without_kink)
     assert roughness.shape == NODES
@@ -23,6 +25,7 @@ def test_iron_that_bends_at_zero_flux_is_rough_there_and_smooth_elsewhere(sharp_
     assert at_zero.min() > 2.0 * outside.max()
 
 
+@pytest.mark.slow
 def test_a_rough_map_gains_evidence_by_its_places(sharp: DiagnosisSetup, sharp_fit_without_kink: Fit) -> None:
     fit = sharp_fit_without_kink
     assert has_fine_grid(fit)

@@ -48,6 +48,7 @@ def _lines(v_ab: Array) -> Array:
     return np.asarray(v_abc - np.roll(v_abc, 1, axis=1))
 
 
+@pytest.mark.slow
 @given(a=VOLTS, b=VOLTS, step_v=st.floats(0.05, 1.0), part=PART, centred=st.booleans())
 def test_where_one_comparison_makes_both_edges_lines_see_whole_steps(
     a: float, b: float, step_v: float, part: float, centred: bool

@@ -20,6 +20,7 @@ from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared, with_voltage
+from tests.support.cases import few
 
 
 @cache
@@ -99,7 +100,7 @@ def test_voltages_that_are_off_at_rest_are_reported_from_readings_that_are() -> 
     assert maker.with_noise(found.noise).fit(free_model()).chi2_per_dof == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("sizes_v", "alike"), [((0.02, 0.04), True), ((0.0, 0.04), False), ((0.05, 0.02), False)])
+@few("sizes_v, alike", [((0.02, 0.04), True), ((0.0, 0.04), False), ((0.05, 0.02), False)], fast=2)
 def test_voltages_scatter_as_a_timers_steps_do_or_are_no_noise(sizes_v: tuple[float, float], alike: bool) -> None:
     made, rng = _campaign(), np.random.default_rng(5)
     pieces, steps = list(made.pieces), {}

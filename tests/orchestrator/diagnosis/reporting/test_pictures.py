@@ -34,7 +34,7 @@ def ladder(with_dead_time: Recording) -> Ladder:
     bare = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
     candidate = scaled_library([DeadTime()], setup.prepared.manifest)[0]
     steps = (AcceptedModel(None, bare), AcceptedModel("dead_time", with_effect(setup, bare, candidate)))
-    return steps, setup, tuple(diagnosis_step(k, step, setup) for k, step in enumerate(steps))
+    return steps, setup, tuple(diagnosis_step(k, step) for k, step in enumerate(steps))
 
 
 def test_a_step_says_what_the_ladder_says(ladder: Ladder) -> None:

@@ -42,6 +42,7 @@ from tests.orchestrator.diagnosis.pieces import (
     with_voltage,
 )
 from tests.orchestrator.diagnosis.selection.states import made, state_of
+from tests.support.cases import few
 
 
 def test_voltages_that_differ_by_chance_are_noise() -> None:
@@ -140,6 +141,7 @@ def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it
     assert all(move.kind != "quantiser" for move in noise_moves(replace(state, is_joint=False), []))
 
 
+@pytest.mark.slow
 def test_iron_that_saturates_from_zero_flux_on_is_no_play_of_the_brake(sharp: DiagnosisSetup, sharp_fit: Fit) -> None:
     usual = sharp.fitter.fit(on_usual_grid(sharp, sharp_fit), relinearisations=0)
     smooth = with_kink_switched(sharp, sharp.fitter, usual)
@@ -216,7 +218,7 @@ def test_a_timer_is_reported_again_where_a_fit_with_it_leaves_something() -> Non
     assert refine_quantiser_by_fit(timed, beside, []) is None
 
 
-@pytest.mark.parametrize("rounding", [0, 3, 4, 7])
+@few("rounding", [0, 3, 4, 7], fast=2)
 def test_where_a_descent_meets_a_command_s_jump_it_goes_on_beyond(rounding: int) -> None:
     """Which way a descent goes between jumps is decided by the last digits: all have to lead to the timer."""
     off = timer(21.7e-9, 0.40, 0.58)

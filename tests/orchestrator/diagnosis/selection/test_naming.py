@@ -25,6 +25,7 @@ from protocols import Effect, FoundEffect, JointEntry
 from tests.orchestrator.diagnosis import pieces as made_of
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
+from tests.support.cases import few
 
 
 def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:
@@ -94,8 +95,10 @@ def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
     assert set(after.fit.model.names) == set(whole.model.names)
 
 
-@pytest.mark.parametrize(
-    ("taken", "by_another", "named"), [(3.0, 0.5, True), (30.0, 0.5, False), (3.0, 1.5, True), (3.0, 2.5, False)]
+@few(
+    "taken, by_another, named",
+    [(3.0, 0.5, True), (3.0, 1.5, True), (30.0, 0.5, False), (3.0, 2.5, False)],
+    fast=2,
 )
 def test_what_takes_away_many_times_the_whole_error_or_twice_it_beside_another_is_balanced_and_no_cause(
     taken: float, by_another: float, named: bool, monkeypatch: pytest.MonkeyPatch

@@ -113,6 +113,7 @@ def test_thresholds_are_those_that_are_handed_in(biased: Fitter) -> None:
     assert len(_searched(maker, scaled_library([VoltageBias()], maker.prepared.manifest)).steps) == 1
 
 
+@pytest.mark.slow
 def test_an_effect_that_explains_more_comes_before_the_form_of_the_newest_one() -> None:
     recording = prepared(plan())
     error = {p.segment.id: _knee_and_bias(p.signals) for p in recording.pieces}
@@ -145,6 +146,7 @@ def _from_all(maker: Fitter, library: Library) -> SearchState:
     return best_first(state, [AcceptedModel(None, maker.fit(free_model()))], library, InterimRecorder())
 
 
+@pytest.mark.slow
 def test_from_all_effects_what_is_there_stays_and_what_is_not_goes(
     biased: Fitter, library: tuple[CandidateEffect, ...]
 ) -> None:

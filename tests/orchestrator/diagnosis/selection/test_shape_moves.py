@@ -55,6 +55,7 @@ def test_refinements_without_effect_are_fixed_again() -> None:
     assert fixed.values["wide"] == fixed.candidate.named("wide").neutral
 
 
+@pytest.mark.slow
 def test_few_parameters_make_a_form_and_details_wait() -> None:
     sharp = _machine(softness=-1.3)
     start = state_of(sharp, sharp.fit(with_free(free_model(), sharp, DeadTime(), voltage_v=0.5)))

@@ -24,10 +24,8 @@ from orchestrator.diagnosis.weak_form.segments import (
 )
 from orchestrator.recording import Recording
 from protocols import Capture, Segment, SegmentStage
-from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Array, Plan, hold, piece, plan, prepared, ripple, sweep
+from tests.orchestrator.diagnosis.pieces import FS, Array, Plan, hold, piece, plan, prepared, ripple, sweep
 from tests.support.close import assert_close
-
-CUTTING = CRITERIA.weak_form
 
 
 def test_flux_changes_between_means_by_what_the_averaged_voltage_does() -> None:

@@ -19,12 +19,6 @@ from tests.support.tiny import run_tiny
 FORMATS = ("csv", "npz", "netcdf", "c")
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with its estimates."""
-    return run_tiny(tmp_path_factory.mktemp("exported")).path
-
-
 def test_a_run_s_map_is_written_with_the_resistance_that_was_measured(run: Path, tmp_path: Path) -> None:
     report = api.export(run, "csv", out=tmp_path / "out")
     assert [file.format for file in report.files] == ["csv"]
@@ -42,14 +36,13 @@ def test_a_map_file_takes_the_motor_that_is_named(run: Path, tmp_path: Path) -> 
 @few(
     "outcomes, caution",
     [
-        ((), ""),
+        ((CheckOutcome.NOT_POSSIBLE, CheckOutcome.FAILED), "the map is not usable: "),
         (
             (CheckOutcome.NOT_POSSIBLE,),
             "the map is not judged: `fluxbench diagnose {run}` decides whether it is usable",
         ),
-        ((CheckOutcome.NOT_POSSIBLE, CheckOutcome.FAILED), "the map is not usable: "),
+        ((), ""),
     ],
-    fast=2,
 )
 def test_a_map_that_is_not_to_be_relied_on_says_so_in_the_files_and_on_standard_error(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], outcomes: tuple[CheckOutcome, ...], caution: str

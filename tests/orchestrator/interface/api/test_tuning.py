@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ from protocols import FluxMap, InputError, Motor
 from tests.orchestrator.tuning.machines import flux_map, saturated
 from tests.plugins.streams.example_run import CAPABILITIES, a_procedure
 from tests.support.processes import called
-from tests.support.tiny import run_tiny
 
 MOTOR = Motor(
     name="Test motor 1", pole_pairs=2, rated_current_rms_a=2.0, rated_speed_rpm=3000.0, stator_resistance_ohm=1.0
@@ -32,6 +32,7 @@ def map_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_map_file_gives_references_gains_code_and_a_picture(map_file: Path, tmp_path: Path) -> None:
     report = api.tune(map_file, motor=MOTOR, out=tmp_path / "out", **DRIVE)
     written = {path.name for path in (tmp_path / "out").iterdir()}
@@ -93,8 +94,10 @@ def test_a_map_that_its_audit_refuses_is_not_tuned(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_usable(tmp_path: Path) -> None:
-    run = run_tiny(tmp_path).path
+def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_usable(
+    run: Path, tmp_path: Path
+) -> None:
+    run = shutil.copytree(run, tmp_path / "run")
     report = api.tune(run)
     assert "not_diagnosed" in [remark.code for remark in report.remarks]
     assert report.bus_v == pytest.approx(api.open(run).manifest.drive.dc_bus_voltage_v)
@@ -146,6 +149,7 @@ def test_resistance_holds_at_the_room_s_temperature_of_the_run_where_it_is_known
     assert _winding_c(tmp_path / "map.nc") is None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_magnet_s_coefficient_makes_its_temperature_an_argument_of_the_code(map_file: Path, tmp_path: Path) -> None:
     magnet = MOTOR.model_copy(update={"pm_flux_wb": 0.3})

@@ -144,6 +144,7 @@ def test_schemas_are_json_schemas(name: str) -> None:
     assert schema["properties"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert "report" in called("--help").stdout
     assert "Write the report of a run" in called("report", "--help").stdout
@@ -154,11 +155,14 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert_one_line(called("report", tmp_path / "nowhere"), 2, "nowhere")
 
 
-def test_a_command_that_is_named_waits_for_no_description_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_command_that_is_named_waits_for_no_description_of_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     def described(_: object) -> str:
         raise AssertionError("described")
 
     monkeypatch.setattr("orchestrator.interface.cli._foreign.summary_of", described)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # where the traceback goes
     assert called("procedures").returncode == 0
     assert "AssertionError: described" in called("--help").stderr
 
@@ -211,6 +215,7 @@ def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
     assert report["chi2"] < 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     motor = tmp_path / "motor.yaml"
     motor.write_text("motor: {name: test, pole_pairs: 2}\n")

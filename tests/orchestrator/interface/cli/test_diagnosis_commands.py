@@ -160,7 +160,6 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
         ("return Correction(v_ab=signals.v_ab * 1j)", "v_ab is of type complex128"),
         ("return Correction(v_ab=signals.v_ab.tolist())", "v_ab has shape None"),
     ],
-    fast=2,
 )
 def test_an_effect_that_returns_no_correction_is_named(
     body: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -246,14 +245,15 @@ def test_an_effect_s_error_names_file_and_line(tmp_path: Path, capsys: pytest.Ca
     assert f"ZeroDivisionError: division by zero ({mine}, line {line})" in message
 
 
-@pytest.mark.parametrize(
-    ("change", "at", "message"),
+@few(
+    "change, at, message",
     [
         (('"V"', '"Vs^x"'), "    class Parameters", "unit 'Vs^x' cannot be scaled"),
         (("BODY", "return Correction(v_ab=signals.v_ab[:, :1])"), "    def correct", "v_ab has shape"),
         (("BODY", "return signals"), "    def correct", "returned Signals, no Correction"),
         (('    gauge = ""', ""), "class Mine", "attribute 'gauge' is missing"),
     ],
+    fast=2,
 )
 def test_an_effect_s_fault_names_its_line_in_the_file(
     change: tuple[str, str], at: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -33,10 +33,20 @@ def diagnosed(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_reasons_come_first_then_the_search_then_each_effect(
+def test_without_options_the_search_is_a_sentence_for_each_decisive_step(
     diagnosed: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_app(["explain", str(diagnosed)]) == 0
+    out = capsys.readouterr().out
+    assert "  2. dead time is added" in out
+    assert f"`fluxbench explain {diagnosed} --steps` lists all 2 steps" in out
+    assert "needed" not in out
+
+
+def test_the_reasons_come_first_then_the_search_then_each_effect(
+    diagnosed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_app(["explain", str(diagnosed), "--steps"]) == 0
     out = capsys.readouterr().out
     first, second, *_ = out.splitlines()
     assert first.startswith(f"{diagnosed}: explained")
@@ -105,7 +115,7 @@ def test_an_output_without_unicode_gets_a_table_all_the_same(
 ) -> None:
     with (tmp_path / "out").open("w", encoding="ascii") as narrow:
         monkeypatch.setattr("sys.stdout", narrow)
-        assert run_app(["explain", str(diagnosed)]) == 0
+        assert run_app(["explain", str(diagnosed), "--steps"]) == 0
     assert "812 nat" in (tmp_path / "out").read_text("ascii")
     assert "?" not in (tmp_path / "out").read_text("ascii")
 

@@ -94,6 +94,7 @@ def test_a_guess_is_judged_in_plain_text(capsys: pytest.CaptureFixture[str]) -> 
     assert_plain(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 @few("text", ["x" * 2_000_000, HOSTILE * 10_000], ids=["long", "hostile"])
 def test_texts_of_megabytes_are_cut(tmp_path: Path, text: str) -> None:
     document = tiny_document()

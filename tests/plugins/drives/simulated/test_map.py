@@ -37,6 +37,7 @@ def written(path: Path, table: FluxTable) -> Path:
     return path
 
 
+@pytest.mark.slow
 @few("format_name", ["csv", "netcdf", "npz", "syre"])
 def test_what_we_export_is_a_plant(tmp_path: Path, format_name: str) -> None:
     whole = load_map(written(tmp_path / "whole.csv", shipped()))
@@ -61,6 +62,7 @@ def test_corners_without_a_flux_are_left_to_smoothness(tmp_path: Path) -> None:
     assert_close(plant(file=str(path)).flux(INSIDE_A), plant(name="baldor-5k6").flux(INSIDE_A), 2e-3)
 
 
+@pytest.mark.slow
 @few("degrees", [4.0, -90.0])
 def test_a_magnet_off_the_axis_is_put_on_it(tmp_path: Path, degrees: float) -> None:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))

@@ -21,6 +21,7 @@ def tiny(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_the_hidden_effects_are_sealed(tiny: Path, tmp_path: Path) -> None:
     done = simulate(PM400, {"voltage_bias": {"bias_a_v": 0.12345678}}, procedure=tiny, out=tmp_path / "run")
     assert done.manifest.motor.rated_current_rms_a == PM400.rated_current_rms_a

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.analysis._held_captures import HeldCaptures
+from orchestrator.analysis._captures import HeldCaptures
 from orchestrator.recording import open_recording
 from protocols import Capture, Segment, SegmentStage
 from tests.orchestrator.interface.cli.test_refreshing import DATA

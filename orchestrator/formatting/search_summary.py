@@ -1,0 +1,150 @@
+"""The course of a search in a few sentences: the moves that changed the model, and what kept each effect in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number, percent
+from orchestrator.formatting.sentences import listed
+from protocols import SearchEvent, SearchMove
+
+MIN_FALL_RATIO = 0.1
+"""Fall of chi2 over its former value from which a shape that is fitted too is worth a sentence."""
+DATA_LINES = {"part": "on a part of the recording, which is faster:", "whole": "on the whole recording:"}
+
+
+def search_summary(events: Sequence[SearchEvent]) -> list[str]:
+    """What a search did, in order: a sentence for each decisive move, with its number.
+
+    A line without a number says on which data the next moves were made.
+    """
+    last_screen = max((e.step for e in events if e.move == "screen" and e.data == "whole"), default=None)
+    lines: list[str] = []
+    data = "whole"
+    tried: list[SearchEvent] = []
+    model: set[str] = set()
+    found_together: set[str] = set()
+    for event in events:
+        if event.move == "screen":
+            tried = []
+        if event.move == "refit":
+            tried.append(event)
+        sentence = _none_is_missing(event) if event.step == last_screen else _sentence(event, tried)
+        if event.decision == "accepted":
+            if event.move == "full_model":
+                found_together = set(event.effects) - model
+            elif event.move == "remove" and found_together:
+                sentence = f"{sentence}{_new_ones(found_together - set(event.effects))}"
+                found_together = set()
+            model = _model_after(event, model)
+        if sentence is None:
+            continue
+        if event.data != data:
+            data = event.data
+            lines.append(DATA_LINES[data])
+        lines.append(f"{event.step}. {sentence}")
+    return lines
+
+
+def _model_after(event: SearchEvent, model: set[str]) -> set[str]:
+    """The effects of the model after an accepted move."""
+    names = set(event.effects)
+    if event.move in ("add", "full_model"):
+        return model | names
+    if event.move in ("swap", "merge"):
+        return model - names | set(event.effects[:1])
+    return model - names if event.move == "remove" else model
+
+
+def _new_ones(names: set[str]) -> str:
+    return (
+        f"; {listed(sorted(plain(name) for name in names))} {'is' if len(names) == 1 else 'are'} new" if names else ""
+    )
+
+
+def _sentence(event: SearchEvent, tried: Sequence[SearchEvent]) -> str | None:
+    """A sentence on a move; None for one that left the model as it was and decided nothing."""
+    if event.move == "add" and event.decision == "accepted":
+        return f"{_names(event)} {_is(event)} added: {_course(event)}{_runner_up(event, tried)}"
+    if event.move == "remove":
+        return _removed(event)
+    if event.move in ("swap", "merge") and len(event.effects) == 2:
+        return _exchanged(event)
+    if event.move == "name" and event.decision == "rejected" and event.measure == "share":
+        share, limit = (percent(None if x is None else 100.0 * x) for x in (event.score, event.threshold))
+        return f"{_names(event)} is in the model and no cause: {share} of the first error, {limit} needed"
+    text = _ACCEPTED.get(event.move)
+    return None if text is None or event.decision != "accepted" else text(event)
+
+
+def _removed(event: SearchEvent) -> str | None:
+    if event.decision == "accepted" and event.measure == "block_scatter":
+        scatter = percent(None if event.score is None else 100.0 * event.score)
+        return f"{_names(event)} {_is(event)} removed: the size differs by {scatter} between parts of the recording"
+    if event.decision == "accepted":
+        return f"{_names(event)} {_is(event)} removed, which the data do not require: {_course(event)}"
+    if event.data == "part" or event.chi2_after is None:
+        return None
+    return f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}"
+
+
+def _exchanged(event: SearchEvent) -> str | None:
+    new, old = (plain(name) for name in event.effects)
+    if event.decision == "accepted":
+        return f"{new} takes the place of {old}: {_course(event)}"
+    return f"{new} in place of {old}: {event.note}, chi2 {number(event.chi2_after, 4)}" if event.note else None
+
+
+def _none_is_missing(event: SearchEvent) -> str | None:
+    if event.decision != "rejected" or event.score is None or event.threshold is None:
+        return None
+    best, gain, needed = _names(event), number(event.score, 3), number(event.threshold, 3)
+    return f"no absent effect is worth adding: the best, {best}, lowers the summed chi2 by {gain}, {needed} needed"
+
+
+def _runner_up(event: SearchEvent, tried: Sequence[SearchEvent]) -> str:
+    others = [one for one in tried if one.effects != event.effects and one.chi2_after is not None]
+    if not others:
+        return ""
+    best = max(others, key=lambda one: one.score or 0.0)
+    return f"; {_names(best)} instead would leave {number(best.chi2_after, 4)}"
+
+
+def _shape(event: SearchEvent) -> str | None:
+    before, after = event.chi2_before, event.chi2_after
+    if before is None or after is None or before - after < MIN_FALL_RATIO * before:
+        return None
+    return f"the form of {_names(event)} is fitted, too: {_course(event)}"
+
+
+_ACCEPTED: Mapping[SearchMove, Callable[[SearchEvent], str | None]] = {
+    "baseline": lambda e: f"the search begins at chi2 {number(e.chi2_after, 4)}",
+    "full_model": lambda e: f"all {len(e.effects)} effects are fitted together: {_course(e)}",
+    "free_shape": _shape,
+    "switch_form": lambda e: f"{_names(e)} takes its other form: {_course(e)}",
+    "finer_map": lambda e: f"a finer flux map is taken: {_course(e)}",
+    "coarser_map": lambda e: f"a coarser flux map is enough: {_course(e)}",
+    "noise": lambda e: f"scatter between segments, or the model's own error, counts as noise: {_course(e)}",
+    "quantiser": lambda e: f"the PWM timer's rounding is accounted for: {_course(e)}",
+    "switching_ripple": lambda e: f"the current's ripple within a PWM period is accounted for: {_course(e)}",
+}
+"""Sentences on moves that change the model when they are accepted."""
+
+
+def _course(event: SearchEvent) -> str:
+    values = [number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None]
+    return f"chi2 {' → '.join(dict.fromkeys(values))}"
+
+
+def _names(event: SearchEvent) -> str:
+    names = [plain(name) for name in event.effects]
+    return listed(names) if len(names) <= 3 else f"{len(names)} effects"
+
+
+def _is(event: SearchEvent) -> str:
+    return "is" if len(event.effects) == 1 else "are"
+
+
+def _stays(event: SearchEvent) -> str:
+    return "stays" if len(event.effects) == 1 else "stay"

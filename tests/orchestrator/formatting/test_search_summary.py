@@ -1,0 +1,84 @@
+"""The course of a search: a sentence for each move that changed the model or kept an effect in it."""
+
+from __future__ import annotations
+
+from orchestrator.formatting.search_summary import search_summary
+from protocols import SearchEvent
+
+
+def moves(*events: dict[str, object]) -> list[str]:
+    common: dict[str, object] = {
+        "effects": (),
+        "data": "whole",
+        "decision": "accepted",
+        "evaluations": 1.0,
+        "seconds": 1.0,
+    }
+    return search_summary([SearchEvent.model_validate(common | {"step": k} | e) for k, e in enumerate(events, 1)])
+
+
+def chi2(before: float, after: float | None) -> dict[str, object]:
+    return {"chi2_before": before, "chi2_after": after}
+
+
+def refit(name: str, score: float, after: float) -> dict[str, object]:
+    return {"move": "refit", "effects": (name,), "decision": "tested", "data": "part", "score": score} | chi2(
+        80.0, after
+    )
+
+
+def test_an_added_effect_stands_beside_the_best_of_the_others() -> None:
+    lines = moves(
+        {"move": "baseline", "chi2_after": 900.0},
+        {"move": "screen", "effects": ("dead_time", "device_drop"), "decision": "tested", "data": "part"},
+        refit("dead_time", 9.0, 2.0),
+        refit("device_drop", 7.0, 5.0),
+        refit("bus_sag", 1.0, 70.0),
+        {"move": "add", "effects": ("dead_time",), "data": "part", **chi2(80.0, 2.0)},
+    )
+    assert lines == [
+        "1. the search begins at chi2 900",
+        "on a part of the recording, which is faster:",
+        "6. dead time is added: chi2 80 → 2; device drop instead would leave 5",
+    ]
+
+
+def test_after_all_effects_together_it_says_which_are_new() -> None:
+    lines = moves(
+        {"move": "add", "effects": ("dead_time",), **chi2(80.0, 20.0)},
+        {"move": "full_model", "effects": ("dead_time", "bus_sag", "hysteresis"), **chi2(20.0, 1.0)},
+        {"move": "remove", "effects": ("hysteresis",), **chi2(1.0, 1.01)},
+    )
+    assert lines[1] == "2. all 3 effects are fitted together: chi2 20 → 1"
+    assert lines[2] == "3. hysteresis is removed, which the data do not require: chi2 1 → 1.01; bus sag is new"
+
+
+def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
+    lines = moves(
+        {"move": "screen", "effects": ("bus_sag",), "decision": "rejected", "score": 50.0, "threshold": 60.0},
+        {"move": "screen", "effects": ("hysteresis",), "decision": "rejected", "score": 14.5, "threshold": 32.0},
+        {"move": "remove", "effects": ("dead_time",), "decision": "rejected", **chi2(1.0, 80.0)},
+        {"move": "swap", "effects": ("device_drop", "dead_time"), "decision": "rejected", "note": "both do as well",
+         **chi2(1.0, 1.02)},
+        {"move": "name", "effects": ("bus_sag",), "decision": "rejected", "measure": "share", "score": 0.02,
+         "threshold": 0.05},
+        {"move": "finer_map", "decision": "rejected", **chi2(1.0, 0.99)},
+    )  # fmt: skip
+    assert lines == [
+        "2. no absent effect is worth adding: the best, hysteresis, lowers the summed chi2 by 14.5, 32 needed",
+        "3. dead time stays: without it chi2 is 80",
+        "4. device drop in place of dead time: both do as well, chi2 1.02",
+        "5. bus sag is in the model and no cause: 2 % of the first error, 5 % needed",
+    ]
+
+
+def test_a_form_counts_where_it_matters_and_every_change_of_noise_and_map() -> None:
+    lines = moves(
+        {"move": "free_shape", "effects": ("dead_time",), **chi2(2.0, 1.95)},
+        {"move": "free_shape", "effects": ("dead_time",), **chi2(2.0, 1.1)},
+        {"move": "noise", **chi2(1.1, 1.0)},
+        {"move": "finer_map", **chi2(1.1, 1.0)},
+        {"move": "remove", "effects": ("bus_sag",), "measure": "block_scatter", "score": 0.31, "threshold": 0.2},
+    )
+    assert [line.split(". ")[0] for line in lines] == ["2", "3", "4", "5"]
+    assert lines[-1] == "5. bus sag is removed: the size differs by 31 % between parts of the recording"
