@@ -107,26 +107,30 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
 
 
 def _with_points_held_out(pieces: list[SegmentData], criteria: WeakFormCriteria) -> list[SegmentData]:
-    """The segments with one in `HELD_OUT_EVERY` injection points held out, of those that others surround or repeat.
-
-    Multiples of the golden ratio spread them: a fixed stride would take a grid's whole row or column.
-    """
+    """The segments with a part of the injection points held out."""
     points = [p for p in pieces if p.stage is SegmentStage.INJECTION]
     if len(points) < criteria.held_out_from:
         return pieces
-    at = np.array([_currents(p).mean(axis=0) for p in points])
-    inner = [p for p, is_inner in zip(points, _are_surrounded(at), strict=True) if is_inner]
-    share = min(len(points) / (HELD_OUT_EVERY * max(len(inner), 1)), MAX_HELD_OUT_SHARE)
-    held = {p.segment.id for k, p in enumerate(inner, 1) if k * GOLDEN_RATIO % 1.0 < share}
+    means = np.array([_currents(p).mean(axis=0) for p in points])
+    held = {points[k].segment.id for k in held_out_points(means)}
     return [replace(p, held_out=p.held_out or p.segment.id in held) for p in pieces]
 
 
-def _are_surrounded(points: Array) -> list[bool]:
-    """Which points (n, 2) lie well within the convex hull of all, or where an earlier one lies."""
-    slack = HULL_TOLERANCE * float(np.abs(points).max(initial=0.0))
-    is_near = np.linalg.norm(points[:, None] - points[None], axis=2) < slack
-    is_inside = _beyond_hull(points, points) < -slack
-    return [bool(x) for x in is_inside | np.tril(is_near, -1).any(axis=1)]
+def held_out_points(means: Array) -> list[int]:
+    """Which injection points are held out: one in `HELD_OUT_EVERY`, of those that others surround or that repeat one.
+
+    Multiples of the golden ratio spread them: a fixed stride would take a whole row or column of a grid.
+
+    Parameters
+    ----------
+    means : array, shape (points, 2)
+        Mean currents in the order of the recording [A].
+    """
+    slack = HULL_TOLERANCE * float(np.abs(means).max(initial=0.0))
+    is_near = np.linalg.norm(means[:, None] - means[None], axis=2) < slack
+    fit = np.flatnonzero((_beyond_hull(means, means) < -slack) | np.tril(is_near, -1).any(axis=1))
+    share = min(len(means) / (HELD_OUT_EVERY * max(len(fit), 1)), MAX_HELD_OUT_SHARE)
+    return [int(at) for k, at in enumerate(fit, 1) if k * GOLDEN_RATIO % 1.0 < share]
 
 
 def _held_out_among_fitted(pieces: list[SegmentData]) -> list[SegmentData]:
