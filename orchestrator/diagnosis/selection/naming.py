@@ -85,7 +85,7 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     notes = dict.fromkeys(absent, "its 95 % interval contains no effect at all")
     notes |= {n: IMITABLE for n in order if sizes[n].relative_to_error <= imitable}
     clear = [n for n in order if n not in notes]
-    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
+    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)]
     for name in order:
         state.fitter.trace.record(
             "name",

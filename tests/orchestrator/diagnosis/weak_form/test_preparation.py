@@ -57,27 +57,3 @@ def test_of_points_measured_twice_only_the_second_is_held_out() -> None:
     held = held_out_points(np.concatenate([square, 1.01 * square]))
     assert held
     assert min(held) >= len(square)
-
-
-@pytest.mark.parametrize("rows", [3, 4, 5, 6, 7, 8])
-@pytest.mark.parametrize("columns", [4, 5, 6, 8])
-def test_of_a_grid_no_edge_no_row_and_no_column_is_held_out_as_a_whole(rows: int, columns: int) -> None:
-    place = np.arange(rows * columns)
-    row, column = place // columns, place % columns
-    grid = np.column_stack([row - 0.5 * (rows - 1), column - 0.5 * (columns - 1)])
-    held = held_out_points(grid)
-    assert 0 < len(held) <= len(grid) / 5 + 1
-    edge = (row % (rows - 1) == 0) | (column % (columns - 1) == 0)
-    assert not edge[held].any()
-    # Inside a grid with a single inner row or column that is all there is.
-    if rows > 3:
-        assert all(not edge[k] or k not in held for k in place)
-        for line in (row, column):
-            inner = [place[(line == x) & ~edge] for x in np.unique(line[~edge])]
-            assert all(set(points) - set(held) for points in inner)
-
-
-def test_of_points_measured_twice_only_the_second_is_held_out() -> None:
-    square = np.array([[-3.0, -3.0], [-3.0, 3.0], [3.0, -3.0], [3.0, 3.0]])
-    held = held_out_points(np.concatenate([square, 1.01 * square]))
-    assert held and min(held) >= len(square)
