@@ -53,7 +53,7 @@ def test_of_a_grid_no_edge_no_row_and_no_column_is_held_out_as_a_whole(rows: int
 
 
 def test_of_points_measured_twice_only_the_second_is_held_out() -> None:
-    square = np.array([[-3.0, -3.0], [-3.0, 3.0], [3.0, -3.0], [3.0, 3.0]])
-    held = held_out_points(np.concatenate([square, 1.01 * square]))
+    points = np.array([[-3.0, -3.0], [-3.0, 3.0], [3.0, -3.0], [3.0, 3.0], [0.1, 0.0], [0.0, 0.1]])
+    held = held_out_points(np.concatenate([points, 1.01 * points]))
     assert held
-    assert min(held) >= len(square)
+    assert min(held) >= len(points)
