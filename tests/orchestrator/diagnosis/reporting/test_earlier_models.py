@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,7 +11,7 @@ from orchestrator.diagnosis import add_effects, remove_effect
 from orchestrator.diagnosis.reporting.earlier_models import earlier_model, keep_earlier
 from orchestrator.recording import Recording, read_model, write_model
 from plugins.effects.inverter import DeviceDrop, VoltageBias
-from protocols import MotorModel
+from protocols import Effect, MotorModel
 
 
 @pytest.fixture
@@ -41,13 +42,13 @@ def test_a_model_that_was_changed_otherwise_since_has_no_earlier_one(
 ) -> None:
     keep_earlier(tmp_path, "voltage_bias", without)
     first, *rest = added.ladder
-    changed = {
+    every: dict[str, dict[str, Any]] = {
         "another motor": {"recording": "another"},
         "more effects": {"effects": (*added.effects, added.effects[0].model_copy(update={"name": "bus_sag"}))},
         "another course": {"ladder": (first.model_copy(update={"chi2": 9.0}), *rest)},
         "not the last": {"ladder": (*added.ladder, added.ladder[-1].model_copy(update={"added": "bus_sag"}))},
-    }[change]
-    assert earlier_model(tmp_path, "voltage_bias", added.model_copy(update=changed)) is None
+    }
+    assert earlier_model(tmp_path, "voltage_bias", added.model_copy(update=every[change])) is None
 
 
 @pytest.mark.slow
@@ -55,7 +56,7 @@ def test_add_and_remove_state_the_same_two_errors(
     with_dead_time: Recording, without: MotorModel, tmp_path: Path
 ) -> None:
     write_model(tmp_path, without)
-    library = [DeviceDrop(), VoltageBias()]
+    library: list[Effect] = [DeviceDrop(), VoltageBias()]
     added = add_effects(with_dead_time, ["voltage_bias"], library, out=tmp_path).remarks[0]
     removed = remove_effect(with_dead_time, "voltage_bias", library, out=tmp_path).remarks[0]
     assert (added.code, removed.code) == ("does_not_help", "not_needed")
