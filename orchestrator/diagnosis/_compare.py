@@ -144,7 +144,7 @@ def fits_as_well(recording: Recording, names: Sequence[str], name: str, other: s
         As `diagnose_recording`.
     """
     known = {effect.name: effect for effect in effects}
-    # Few pairs need a measurement to be told apart: the recording is read for those alone.
+    # Few pairs need a measurement to be separated: the recording is read for those alone.
     if not separating_contrasts(known[name], known[other]):
         return False
     setup = open_for_refit(recording, None)

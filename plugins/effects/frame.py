@@ -34,6 +34,7 @@ class RotorMisalignment(BatchEffect):
     )
     compensable: ClassVar[bool] = True
     """By the angle's offset in the drive."""
+    remedy: ClassVar[str] = "add it to the angle that the drive believes, such as the encoder's offset"
 
     class Parameters(EffectParameters):
         angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)

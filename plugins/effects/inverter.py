@@ -351,6 +351,7 @@ class VoltageBias(BatchEffect):
     gauge: ClassVar[str] = (
         "Only readings with the gates off tell it from a current offset, whose voltage is R_s times the offset."
     )
+    remedy: ClassVar[str] = "add it to the commanded voltage of each phase; that of c is minus the sum of a and b"
 
     class Parameters(EffectParameters):
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)

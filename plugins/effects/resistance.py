@@ -90,6 +90,7 @@ class WindingHeating(BatchEffect):
     )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
+    remedy: ClassVar[str] = "the winding's R_s is the cold one of model.json, and rises by so much with its loss"
     gauge: ClassVar[str] = (
         "R_s is the resistance at the experiment's start temperature; the thermal resistance is a copper winding's."
     )

@@ -232,6 +232,7 @@ class CurrentOffset(BatchEffect):
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
     gauge: ClassVar[str] = "Only readings with the gates off tell it from a voltage bias of R_s times the offset."
+    remedy: ClassVar[str] = "subtract it from the readings of each sensor"
 
     class Parameters(EffectParameters):
         offset_a_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from orchestrator.formatting.names import parameter_words
-from orchestrator.formatting.quantities import number, percent, quantity
+from orchestrator.formatting.quantities import in_degrees, number, percent, quantity
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import AsJson, entry_point
 from protocols import InputError
@@ -206,7 +206,7 @@ def _in_words(effect: str, parameter: str, value: float) -> str:
 
     declared = load_plugin(PluginKind.EFFECTS, effect)().Parameters.declared()
     unit = next((one.unit for one in declared if one.name == parameter), "1")
-    return f"{parameter_words(parameter)} {quantity(value, unit)}"
+    return f"{parameter_words(parameter)} {quantity(value, unit)}{in_degrees(value, unit)}"
 
 
 def _error(ratio: float | None) -> str:
