@@ -171,7 +171,7 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
     for k, loop in enumerate(after.loops):
         if loop.swept_axis == "q":
             panels = figures.evenness_figures(None if is_one else before.loops[k], loop)
-            yield Picture("Evenness in i_q", _evenness(loop), panels.before, panels.after)
+            yield Picture("Evenness in i_q", _evenness(before.loops[k], loop, is_one), panels.before, panels.after)
     alone, ripple = ([e for e in step.excerpts if e.amplitude_v is not None] for step in (before, after))
     if ripple:
         panels = figures.ripple_figures([] if is_one else alone, ripple)
@@ -201,13 +201,17 @@ def _open_loop(loop: FluxLoop) -> str:
     return f"{text} The noise of the readings alone, integrated, moves them apart by up to {apart} mWb (95 %)."
 
 
-def _evenness(loop: FluxLoop) -> str:
+def _evenness(first: FluxLoop, loop: FluxLoop, is_one: bool) -> str:
     """What an odd part of the flux across a sweep of q means, and how large it is."""
-    odd = [number(figures.unevenness(psi, loop.i_dq[:, 1]), 2) for psi in (loop.psi_measured, loop.psi_model)]
+    measured, *model = [
+        f"{number(figures.unevenness(psi, loop.i_dq[:, 1]), 2)} mWb"
+        for psi in (loop.psi_measured, first.psi_model, loop.psi_model)
+    ]
+    of_model = model[0] if is_one else f"{model[0]} before, {model[1]} after"
     return (
         f"{loop.segment}: the flux of the d axis while q is swept. A symmetric motor locked at the angle that the "
         "drive believes has the same on the left and on the right. A tilt is of the angle, of the slots, or of "
-        f"unequal sensors. The odd part, rms: measured {odd[0]} mWb, model {odd[1]} mWb."
+        f"unequal sensors. The odd part, rms: measured {measured}, model {of_model}."
     )
 
 
