@@ -24,6 +24,8 @@ class StageError(Lenient):
     noise_rms_v: Number = None
     """What the noise of its readings alone would leave."""
     chi2: Number
+    chi2_of_noise: Number = None
+    """What noise alone exceeds once in a thousand: far above 1 where few values were measured."""
     current_rms_a: Number
 
 

@@ -38,6 +38,8 @@ class FluxLoop(ArrayModel):
     psi_measured: Vectors
     """Less its value at the start of the loop [Wb]."""
     psi_model: Vectors
+    noise_wb: float | None = None
+    """Standard deviation of what the noise of the current readings adds to `psi_measured` in half a period."""
 
 
 class ResistanceCourse(ArrayModel):

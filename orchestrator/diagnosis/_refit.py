@@ -25,6 +25,7 @@ from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark, helps, removed_remark
 from orchestrator.diagnosis.reporting.delivery import delivery_of
+from orchestrator.diagnosis.reporting.earlier_models import earlier_model, keep_earlier
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
@@ -145,6 +146,8 @@ def _added(
     added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
     helping = {name: helps(before, after) for name, before, after in added}
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
+    if saved is not None and len(added) == 1:
+        keep_earlier(out or recording.path, added[0][0], saved)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     last, every = steps[-1].fit, tuple(library.values())
     setup.fitter.under_way("comparing with similar effects")
@@ -205,6 +208,8 @@ def remove_effect(
 ) -> AddReport:
     """Refit without one of the effects of `model.json`; earlier steps of the ladder are unchanged.
 
+    Where the effect was the last one added, the model is again the one that it was added to.
+
     Parameters
     ----------
     tell : callable
@@ -241,6 +246,13 @@ def _removed(
     # Effects that are no causes have no step of their own: they are in the last one.
     at = next((k for k, r in enumerate(saved.ladder) if r.added == name), len(causes) + 1)
     setup.fitter.budget.calibrate()
+    earlier = earlier_model(out or recording.path, name, saved)
+    if earlier is not None:
+        # A finer map and the forms that were chosen with the effect leave with it.
+        setup.fitter.begin("the model before it was added", EVALUATIONS_OF_REFIT + EVALUATIONS_OF_RESULTS)
+        fit = setup.fitter.fit(restored(setup, earlier, earlier.baseline, library))
+        steps = [AcceptedModel(earlier.ladder[-1].added, fit)]
+        return _keep_reduced(recording, setup, name, before, steps, earlier.baseline, earlier, out)
     steps = []
     # All later steps are refitted: their effects may take over the one that is removed.
     for count in range(at - 1, len(causes) + 1):
@@ -253,9 +265,25 @@ def _removed(
             steps += first_steps(setup, "saturated", library)
         else:
             steps.append(AcceptedModel(causes[count - 1] if count else None, setup.fitter.fit(model)))
-    ladder = (*saved.ladder[: at - 1], *kept_rungs(setup, steps))
-    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks, *bound_remarks(steps[-1].fit))
-    return _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
+    kept = saved.model_copy(update={"ladder": saved.ladder[:at]})
+    return _keep_reduced(recording, setup, name, before, steps, baseline, kept, out)
+
+
+def _keep_reduced(
+    recording: Recording,
+    setup: DiagnosisSetup,
+    name: str,
+    before: Fit,
+    steps: Sequence[AcceptedModel],
+    baseline: Baseline,
+    saved: MotorModel,
+    out: Path | None,
+) -> AddReport:
+    """Write the model without an effect; the steps follow the ladder of `saved` from its last rung on."""
+    after = steps[-1].fit
+    ladder = (*saved.ladder[:-1], *kept_rungs(setup, steps))
+    remarks = (removed_remark(name, before, after), *setup.remarks, *bound_remarks(after))
+    return _keep_refit(recording, setup, after, baseline, saved, ladder, remarks, out)
 
 
 def _causes(saved: MotorModel) -> list[str]:

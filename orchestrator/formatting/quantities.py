@@ -127,6 +127,11 @@ def with_error(value: float, error: float, power: int, max_decimals: int = 3) ->
     return fixed(scaled, decimals) + (f" ± {error_text}" if float(error_text) else "")
 
 
+def in_degrees(value: float | None, unit: str) -> str:
+    """An angle's value in degrees, to follow it: `` (2.61°)``; empty for other units."""
+    return f" ({number(math.degrees(value), 3)}°)" if unit == "rad" and value is not None else ""
+
+
 def quantity(value: float | None, unit: str, digits: int = 3) -> str:
     """A value with so many significant digits and a suitable prefix: 3.07 mV, 1.48 kV, 25 µs."""
     if value is None:

@@ -42,6 +42,9 @@ CHI2_MEANING = (
     "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
     "noise averages out over their many samples."
 )
+CHI2_OF_NOISE_MEANING = (
+    "Noise up to: the chi2 that noise alone exceeds once in a thousand. It is large where few values were measured."
+)
 NOISE_FLOOR_MEANING = (
     "A noise floor is the rms error that the noise of the readings alone would leave; it is averaged over the same "
     "samples as the error beside it."

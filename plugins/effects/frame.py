@@ -24,7 +24,9 @@ class RotorMisalignment(BatchEffect):
 
     name: ClassVar[str] = "rotor_misalignment"
     summary: ClassVar[str] = "The rotor is not at the angle that the operator believes in."
-    signature: ClassVar[str] = "A map that is not even in i_q, with reciprocity kept."
+    signature: ClassVar[str] = (
+        "Evenness in i_q: the flux of the d axis tilts with i_q, by the same angle in every stage."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = (
@@ -32,6 +34,7 @@ class RotorMisalignment(BatchEffect):
     )
     compensable: ClassVar[bool] = True
     """By the angle's offset in the drive."""
+    remedy: ClassVar[str] = "add it to the angle that the drive believes, such as the encoder's offset"
 
     class Parameters(EffectParameters):
         angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)
@@ -53,7 +56,10 @@ class BrakeCompliance(BatchEffect):
 
     name: ClassVar[str] = "brake_compliance"
     summary: ClassVar[str] = "The locked rotor twists with the torque."
-    signature: ClassVar[str] = "A voltage with every change of torque, and an angle that follows the torque."
+    signature: ClassVar[str] = (
+        "Flux loop on q: a little steeper than the model's and open, as the rotor turns with the slow sweep's "
+        "torque and not with the ripple."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "Without the magnet's flux on the nameplate a compliance passes for q-axis inductance."
@@ -83,7 +89,9 @@ class BrakeBacklash(BatchEffect):
 
     name: ClassVar[str] = "brake_backlash"
     summary: ClassVar[str] = "The locked rotor has play, and turns to its other end with the torque's sign."
-    signature: ClassVar[str] = "A voltage where the torque changes its sign, and two angles, one for each sign."
+    signature: ClassVar[str] = (
+        "Flux loop on q: a step where i_q and with it the torque changes its sign; two angles, one for each sign."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""

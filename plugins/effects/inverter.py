@@ -181,7 +181,10 @@ class DeadTime(BatchEffect, RemarkingEffect):
 
     name: ClassVar[str] = "dead_time"
     summary: ClassVar[str] = "The inverter's dead time takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "A step up where a phase current turns positive; it grows with the PWM frequency."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: a step up where the current turns positive; larger at a higher "
+        "PWM frequency."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = ""
@@ -290,7 +293,10 @@ class DeviceDrop(BatchEffect):
 
     name: ClassVar[str] = "device_drop"
     summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "A step up where a phase current turns positive, the same at every PWM frequency."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: a step up where the current turns positive, the same at every "
+        "PWM frequency."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = "The switches' on-resistance counts as R_s; no measurement of this kind tells them apart."
@@ -338,13 +344,14 @@ class VoltageBias(BatchEffect):
     name: ClassVar[str] = "voltage_bias"
     summary: ClassVar[str] = "The inverter keeps a constant voltage back from the commanded one."
     signature: ClassVar[str] = (
-        "A constant residual, the bias itself, the same at every current; none with the gates off."
+        "Residual against each phase's current: a constant in each phase, the bias itself; none with the gates off."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
     gauge: ClassVar[str] = (
         "Only readings with the gates off tell it from a current offset, whose voltage is R_s times the offset."
     )
+    remedy: ClassVar[str] = "add it to the commanded voltage of each phase; that of c is minus the sum of a and b"
 
     class Parameters(EffectParameters):
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
@@ -373,7 +380,8 @@ class BusSag(BatchEffect):
     name: ClassVar[str] = "bus_sag"
     summary: ClassVar[str] = "The bus voltage sags with the power drawn, and the drive does not know."
     signature: ClassVar[str] = (
-        "A residual along the voltage, with its sign where power is drawn; it grows with voltage times power."
+        "Residual against each phase's current: beside what R_s takes up, it bends as voltage times power, with "
+        "the voltage's sign."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.BUS
     needs: ClassVar[tuple[Contrast, ...]] = ()

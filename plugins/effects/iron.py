@@ -47,7 +47,7 @@ class EddyCurrents(BatchEffect):
     name: ClassVar[str] = "eddy_currents"
     summary: ClassVar[str] = "Eddy currents in the iron add a current in step with the voltage."
     signature: ClassVar[str] = (
-        "A square in the measured ripple, with the sign of its slope, linear in the injected amplitude."
+        "Ripple: measured less model is a square with the sign of its slope, the same per volt at every amplitude."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = ()
@@ -195,7 +195,8 @@ class Hysteresis(RandomBatchEffect):
     name: ClassVar[str] = "hysteresis"
     summary: ClassVar[str] = "The iron's hysteresis lags the flux behind the current, whatever the speed."
     signature: ClassVar[str] = (
-        "A flux loop that does not depend on rate; the measured ripple is larger, per volt, at small amplitudes."
+        "Flux loop: open at every rate, the measured flux below while the current rises, above while it falls; "
+        "the ripple is larger than the model's."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = ()
@@ -315,7 +316,9 @@ class MagnetHeating(BatchEffect):
 
     name: ClassVar[str] = "magnet_heating"
     summary: ClassVar[str] = "The magnets warm up and lose flux."
-    signature: ClassVar[str] = "A map that slides along i_d as the experiment goes on."
+    signature: ClassVar[str] = (
+        "In no picture by itself: the last injection points differ from the first ones, as the map slides along i_d."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "The magnet's flux itself is invisible to a locked rotor; only its change shows."
@@ -365,7 +368,9 @@ class SlotHarmonics(BatchEffect):
 
     name: ClassVar[str] = "slot_harmonics"
     summary: ClassVar[str] = "The slots make the map depend on the angle at which the rotor is locked."
-    signature: ClassVar[str] = "A fixed parity break at one angle, another one at the next."
+    signature: ClassVar[str] = (
+        "Evenness in i_q: the flux of the d axis tilts with i_q, and differently at another rotor angle."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = (

@@ -42,12 +42,19 @@ class PhaseResistanceImbalance(BatchEffect):
 
     name: ClassVar[str] = "phase_resistance_imbalance"
     summary: ClassVar[str] = "The phases differ in resistance."
-    signature: ClassVar[str] = "Anisotropic resistance while the inductance stays symmetric."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: one phase's slope differs from the others'; the ripple is as the "
+        "model's."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
         "Extra resistance common to all phases is R_s; a leg whose voltage gain exceeds one looks "
         "the same at one rotor angle."
+    )
+
+    at_the_bench: ClassVar[str] = (
+        "measure between each pair of terminals with four wires: of three pairs, the two with the odd phase differ"
     )
 
     class Parameters(EffectParameters):
@@ -78,10 +85,12 @@ class WindingHeating(BatchEffect):
     name: ClassVar[str] = "winding_heating"
     summary: ClassVar[str] = "The winding warms up under its own loss, and its resistance rises."
     signature: ClassVar[str] = (
-        "A residual along the current, with its sign, that grows as the winding's loss warms it; none in the ripple."
+        "R_s against the heat: it rises. Residuals along the current, with its sign, grow as the winding warms; "
+        "none in the ripple."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
+    remedy: ClassVar[str] = "the winding's R_s is the cold one of model.json, and rises by so much with its loss"
     gauge: ClassVar[str] = (
         "R_s is the resistance at the experiment's start temperature; the thermal resistance is a copper winding's."
     )
@@ -138,7 +147,10 @@ class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
 
     name: ClassVar[str] = "resistance_with_temperature"
     summary: ClassVar[str] = "The resistance follows the temperature that was logged."
-    signature: ClassVar[str] = "A residual along the current, with its sign, that rises and falls with the thermometer."
+    signature: ClassVar[str] = (
+        "R_s against the heat: it rises and falls with the thermometer, as do residuals along the current, with "
+        "its sign."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "R_s is the resistance at the first temperature that was logged."
@@ -175,10 +187,17 @@ class SkinEffect(BatchEffect):
 
     name: ClassVar[str] = "skin_effect"
     summary: ClassVar[str] = "The ripple sees more resistance than the direct current."
-    signature: ClassVar[str] = "A residual in phase with the ripple current; the measured ripple is early, and smaller."
+    signature: ClassVar[str] = (
+        "Ripple: larger than the model's, in a flux loop that is steeper: the sweep shows more inductance than "
+        "the ripple, and the fitted map lies between."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
+
+    at_the_bench: ClassVar[str] = (
+        "measure resistance and inductance with a bridge at two frequencies, below and above the corner"
+    )
 
     class Parameters(EffectParameters):
         extra_ohm: float = amplitude("ohm", typical=1.0, prior_width=1.5, low=0.0, high=20.0)

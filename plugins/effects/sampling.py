@@ -38,7 +38,10 @@ class SamplingOffset(RandomBatchEffect):
 
     name: ClassVar[str] = "sampling_offset"
     summary: ClassVar[str] = "The currents are read beside the turning point of the carrier, and hold ripple."
-    signature: ClassVar[str] = "Resistance that differs between d and q as their inverse inductances, and turns along."
+    signature: ClassVar[str] = (
+        "R_s against the heat: holds along d and along q differ, as their inverse inductances, and exchange that "
+        "as the rotor turns."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.DELAY
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = "Within the zero vector the inductance grows by tau R_s, as the map's own would."

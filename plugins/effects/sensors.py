@@ -55,7 +55,10 @@ class CurrentGainMismatch(BatchEffect, MeasurableEffect):
 
     name: ClassVar[str] = "current_gain_mismatch"
     summary: ClassVar[str] = "The current sensors of phases a and b differ in gain."
-    signature: ClassVar[str] = "Anisotropic resistance and inductance, second harmonic of the current's angle."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: a and b have opposite slopes; the ripple's inductance differs "
+        "with its direction, too."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "A gain common to both sensors scales R_s and the flux together."
@@ -85,7 +88,10 @@ class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
 
     name: ClassVar[str] = "third_current_sensor"
     summary: ClassVar[str] = "The third current sensor differs in gain from the other two."
-    signature: ClassVar[str] = "Resistance and inductance are stretched alike along phase c, and nothing is turned."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: the slope of c differs from those of a and b, which are alike; "
+        "so does the inductance along c."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
@@ -131,7 +137,9 @@ class ShuntReconstruction(BatchEffect, SegmentDependentEffect):
 
     name: ClassVar[str] = "shunt_reconstruction"
     summary: ClassVar[str] = "Of three unequal low-side shunts one is not read, but minus the sum of the others."
-    signature: ClassVar[str] = "The current jumps where another phase's voltage becomes the largest."
+    signature: ClassVar[str] = (
+        "Residual on the current plane: it changes by sectors, where another phase's voltage becomes the largest."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "A gain common to all shunts scales R_s and the flux together."
@@ -218,11 +226,13 @@ class CurrentOffset(BatchEffect):
     name: ClassVar[str] = "current_offset"
     summary: ClassVar[str] = "The current sensors read a constant beside the current."
     signature: ClassVar[str] = (
-        "A constant residual of minus R_s o under direct current, also with the gates off, and a shifted map."
+        "Residual against each phase's current: a constant of minus R_s times the offset in each phase, with the "
+        "gates off too, and a shifted map."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
     gauge: ClassVar[str] = "Only readings with the gates off tell it from a voltage bias of R_s times the offset."
+    remedy: ClassVar[str] = "subtract it from the readings of each sensor"
 
     class Parameters(EffectParameters):
         offset_a_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)
@@ -248,7 +258,10 @@ class CurrentOffsetDrift(BatchEffect):
 
     name: ClassVar[str] = "current_offset_drift"
     summary: ClassVar[str] = "The current sensors' offsets drift as the experiment goes on."
-    signature: ClassVar[str] = "A constant residual of minus R_s o, the same at every current, that grows with time."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: constants of minus R_s times the offset, which grow with time "
+        "and so scatter."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
@@ -290,7 +303,9 @@ class CurrentNonlinearity(BatchEffect):
 
     name: ClassVar[str] = "current_nonlinearity"
     summary: ClassVar[str] = "The current sensors' characteristic is curved."
-    signature: ClassVar[str] = "Resistance and map bend alike as the phase current grows."
+    signature: ClassVar[str] = (
+        "Residual against each phase's current: it bends with the square or the cube of the current, as does the map."
+    )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""

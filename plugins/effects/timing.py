@@ -53,7 +53,8 @@ class VoltageDelay(BatchEffect):
     name: ClassVar[str] = "voltage_delay"
     summary: ClassVar[str] = "The voltage acts later than commanded."
     signature: ClassVar[str] = (
-        "The measured ripple is late: less the model's it is against the slope, at every frequency alike."
+        "Ripple: the measured one is late, so that measured less model goes against the slope; by the same time "
+        "at every frequency. Sweeps are as the model's."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.DELAY
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
@@ -81,7 +82,8 @@ class CurrentFilter(BatchEffect):
     name: ClassVar[str] = "current_filter"
     summary: ClassVar[str] = "The current sensors lag."
     signature: ClassVar[str] = (
-        "The measured ripple is late, as from a late voltage: against the slope, and less at high frequencies."
+        "Ripple: the measured one is late, as from a late voltage: measured less model goes against the slope, "
+        "less at high frequencies."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)

@@ -69,7 +69,7 @@ def helps(before: Fit, after: Fit) -> bool:
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
-    """Whether a removed effect is needed: code ``needed`` or ``not_needed``.
+    """Whether a removed effect is needed: code ``needed`` or ``not_needed``, by the same limits as `added_remark`.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
         The model with and without the effect.
     """
     errors = _errors(before, after)
-    if _log_likelihood_gain(after, before) > _min_gain(before):
+    if helps(after, before):
         rest = _while_much_is_left({**errors, "before_v": errors["after_v"], "after_v": errors["before_v"]})
         return _remark("needed", "{effect} is needed: without it {of} {course}" + rest, name, errors)
     return _remark("not_needed", "{effect} is not needed: without it {of} {course}", name, errors)

@@ -176,7 +176,15 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
         i_dq=np.ascontiguousarray(i_dq[::stride]),
         psi_measured=np.ascontiguousarray(measured[::stride]),
         psi_model=np.ascontiguousarray((model - model[0])[::stride]),
+        noise_wb=_integrated_noise_wb(fit, piece, 0.5 * ts * len(i_dq)),
     )
+
+
+def _integrated_noise_wb(fit: Fit, piece: SegmentData, time_s: float) -> float:
+    """Standard deviation of R_s int i dt by the noise of the readings alone: a random walk."""
+    noise, ts = fit.linearisation.noise, 1.0 / piece.signals.sampling_frequency_hz
+    variance = 0.5 * np.trace(noise.of(piece)) * (1.0 + noise.correlation) / (1.0 - noise.correlation)
+    return float(fit.model.r_s * np.sqrt(variance * ts * time_s))
 
 
 def _magnet_wb(piece: SegmentData) -> float:

@@ -14,9 +14,17 @@ from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, needed_contrasts
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import number, operating_point, percent, quantity, value_and_interval
+from orchestrator.formatting.quantities import (
+    in_degrees,
+    number,
+    operating_point,
+    percent,
+    quantity,
+    value_and_interval,
+)
 from orchestrator.formatting.results import companion_words
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
@@ -31,6 +39,11 @@ from protocols import (
     is_compensable,
 )
 
+_STAGES = {
+    SegmentStage.RESISTANCE: "a hold",
+    SegmentStage.INJECTION: "an injection point",
+    SegmentStage.CLASSICAL: "a sweep",
+}
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
     "even_phase_current": "even in the phase currents",
@@ -77,9 +90,15 @@ def _where(diagnosis: Diagnosis) -> str:
     reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
     before = "before the effects were added, " if len(diagnosis.search.steps) > 1 else ""
     return (
-        f"{before}worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms; "
+        f"{before}worst in {_stage_words(piece)} ({piece.segment.id}, {reach}): {quantity(rms, 'V')} rms; "
         f"noise floor of this segment {quantity(floor, 'V')}"
     )
+
+
+def _stage_words(piece: SegmentData) -> str:
+    """What a segment is: ``a hold at 20 kHz PWM``."""
+    kind = _STAGES.get(piece.stage, plain(piece.stage.value))
+    return f"{kind} at {quantity(piece.signals.pwm_frequency_hz, 'Hz')} PWM"
 
 
 def _looks(diagnosis: Diagnosis) -> str:
@@ -189,6 +208,7 @@ def _named(
     for name in sizes:
         found = effect.parameters[name]
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
+        size += in_degrees(found.value, found.unit)
         parts.append(f"{parameter_words(name)} {size}{where}" + (f", 95 %: {interval}" if interval else ""))
         parts += [words] if (words := companion_words(effect, found)) else []
     derived = [f"{plain(name)} {quantity(found.value, found.unit)}" for name, found in settings.items()]

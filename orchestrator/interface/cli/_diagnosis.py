@@ -16,6 +16,7 @@ from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.results import (
     BENEFITS,
     CHI2_MEANING,
+    CHI2_OF_NOISE_MEANING,
     NOISE_FLOOR_MEANING,
     REFIT_MEANING,
     benefit_line,
@@ -126,13 +127,21 @@ def _print_comparison(path: Path, report: CompareReport) -> None:
     volts, amps = partial(quantity, unit="V"), partial(quantity, unit="A")
     pwm = partial(quantity, unit="Hz")
     rows = [
-        (s.stage, pwm(s.pwm_frequency_hz), volts(s.rms_v), volts(s.noise_rms_v), number(s.chi2), amps(s.current_rms_a))
+        (
+            s.stage,
+            pwm(s.pwm_frequency_hz),
+            volts(s.rms_v),
+            volts(s.noise_rms_v),
+            number(s.chi2),
+            number(s.chi2_of_noise, 3),
+            amps(s.current_rms_a),
+        )
         for s in report.stages
     ]
-    say_table(("stage", "PWM", "rms error", "noise floor", "chi2", "current error"), rows)
+    say_table(("stage", "PWM", "rms error", "noise floor", "chi2", "noise up to", "current error"), rows)
     floor = volts(report.noise_floor.rms_v)
     say(f"over all stages: error {volts(report.rms_v)}, noise floor {floor}, chi2 {number(report.chi2)}")
-    say(CHI2_MEANING, NOISE_FLOOR_MEANING, "")
+    say(CHI2_MEANING, CHI2_OF_NOISE_MEANING, NOISE_FLOOR_MEANING, "")
     worst = [
         (w.segment, pwm(w.pwm_frequency_hz), amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v))
         for w in report.worst

@@ -96,7 +96,7 @@ def _describe_effect(name: str, as_json: bool) -> int:
     say(f"how it shows: {effect.signature}")
     if effect.needs:
         say(f"what tells it from others: {listed([CONTRASTS[need].text for need in effect.needs])}")
-    say(f"at the bench: {BENCH_ADVICE[effect.layer]}")
+    say(f"at the bench: {getattr(effect, 'at_the_bench', BENCH_ADVICE[effect.layer])}")
     say("in the drive: " + ("`fluxbench tune` compensates it" if is_compensable(effect) else "not to be compensated"))
     if effect.gauge:
         say(f"not determined: {effect.gauge}")
@@ -114,7 +114,7 @@ BENCH_ADVICE: Mapping[EffectLayer, str] = {
     EffectLayer.FRAME: "look at the coupling and brake of the locked rotor and at the encoder's offset; align again",
     EffectLayer.IRON: "nothing to mend: it is of the motor, and stays in its model",
 }
-"""What an engineer looks at, by the place where an effect acts."""
+"""What an engineer looks at, by the place where an effect acts; one with advice of its own has `at_the_bench`."""
 
 
 def _list(summaries: Mapping[str, str], as_json: bool) -> None:

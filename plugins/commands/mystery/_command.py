@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from orchestrator.formatting.names import parameter_words
-from orchestrator.formatting.quantities import number, percent, quantity
+from orchestrator.formatting.quantities import in_degrees, number, percent, quantity
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import AsJson, entry_point
 from protocols import InputError
@@ -58,9 +59,11 @@ def mystery(
     if not is_run(path):
         raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
     _refuse_unfinished(path)
-    verdict = (
-        None if guess is None else judge(read_guess(guess), sealed_effects(path), _fitted(path), caused_effects(path))
-    )
+    verdict = None
+    if guess is not None:
+        sealed, caused = sealed_effects(path), caused_effects(path)
+        alike = partial(_fits_as_well, path, list({**sealed, **caused}))
+        verdict = judge(read_guess(guess), sealed, _fitted(path), caused, alike)
     hidden = sealed_effects(path) if reveal else None
     if as_json:
         _print_json(path, verdict, hidden)
@@ -70,11 +73,11 @@ def mystery(
     if hidden is not None:
         _print_hidden(hidden)
         for name, parameters in caused_effects(path).items():
-            sizes = ", ".join(_in_words(name, key, value) for key, value in parameters.items())
-            if name in hidden:
-                _print_line(f"{name}: with what the run itself caused, the recording has {sizes}")
-            else:
+            sizes = _sizes_in_words(name, parameters)
+            if name not in hidden:
                 _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
+            elif sizes != _sizes_in_words(name, {key: hidden[name].get(key, 0.0) for key in parameters}):
+                _print_line(f"{name}: with what the run itself caused, the recording has {sizes}")
     return 0
 
 
@@ -166,25 +169,35 @@ def _print_verdict(verdict: Verdict) -> None:
         size = sizes.get(name)
         suffix = f"; {_graded(size)}" if size else "; no size was given"
         _print_line(f"{name}: right{suffix}")
+    for name in verdict.as_good:
+        _print_line(f"{name}: as good: this recording cannot tell it from what is hidden")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
     if verdict.complete:
-        _print_line("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
+        _print_line(
+            "That is all there is." if verdict.right or verdict.as_good else "Right: nothing is hidden in this motor."
+        )
     elif verdict.still_hidden:
-        more = " more" if verdict.right else ""
+        is_part = bool(verdict.right or verdict.as_good)
+        more = " more" if is_part else ""
         hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
-        _print_line(hidden if verdict.right or verdict.wrong else f"nothing: wrong; {hidden}")
+        _print_line(hidden if is_part or verdict.wrong else f"nothing: wrong; {hidden}")
 
 
 def _graded(size: GuessedSize) -> str:
+    if not size.is_given:
+        return f"no size was given, and none is graded; the run's model has {_size(size)}"
     if size.is_of_one_angle:
         return f"{_size(size)} belongs to this angle alone, and is not graded"
     return f"{_size(size)} is {_error(size.ratio)}"
 
 
 def _size(size: GuessedSize) -> str:
-    whose = "" if size.is_given else "no size was given, and the diagnosis' "
-    return whose + _in_words(size.name, size.parameter, size.guessed)
+    return _in_words(size.name, size.parameter, size.guessed)
+
+
+def _sizes_in_words(effect: str, parameters: Mapping[str, float]) -> str:
+    return ", ".join(_in_words(effect, key, value) for key, value in parameters.items())
 
 
 def _in_words(effect: str, parameter: str, value: float) -> str:
@@ -193,7 +206,7 @@ def _in_words(effect: str, parameter: str, value: float) -> str:
 
     declared = load_plugin(PluginKind.EFFECTS, effect)().Parameters.declared()
     unit = next((one.unit for one in declared if one.name == parameter), "1")
-    return f"{parameter_words(parameter)} {quantity(value, unit)}"
+    return f"{parameter_words(parameter)} {quantity(value, unit)}{in_degrees(value, unit)}"
 
 
 def _error(ratio: float | None) -> str:
@@ -204,6 +217,15 @@ def _error(ratio: float | None) -> str:
     if 0.5 <= ratio <= 2.0:
         return f"{percent(100.0 * abs(ratio - 1.0))} too {'large' if ratio > 1.0 else 'small'}"
     return f"{number(max(ratio, 1.0 / ratio), 3)} times too {'large' if ratio > 1.0 else 'small'}"
+
+
+def _fits_as_well(path: Path, hidden: Sequence[str], guessed: str, name: str) -> bool:
+    """Whether a guessed effect in a hidden one's place fits the recording as well."""
+    from orchestrator.diagnosis import fits_as_well
+    from orchestrator.interface.api import chosen_effects
+    from orchestrator.recording import open_recording
+
+    return fits_as_well(open_recording(path), hidden, name, guessed, chosen_effects())
 
 
 def _fitted(path: Path) -> dict[str, dict[str, float]]:

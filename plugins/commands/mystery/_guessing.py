@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,7 @@ class GuessedSize(Strict):
     is_given: bool
     """Whether the guess gave it; else it is the size in the recording's model."""
     ratio: float | None
-    """Guessed over true; None where the true one is zero, or `is_of_one_angle`."""
+    """Guessed over true; None where it was not given, where the true one is zero, or `is_of_one_angle`."""
     is_of_one_angle: bool = False
     """Whether size and sign belong to the angle at which the rotor was locked: the true ones are of a whole turn."""
 
@@ -50,6 +50,8 @@ class Verdict(Strict):
     """Result of a guess, without revealing other effects."""
 
     right: tuple[str, ...]
+    as_good: tuple[str, ...]
+    """Not hidden, but the recording cannot tell each from a hidden one; these count as right."""
     wrong: tuple[str, ...]
     still_hidden: int
     sizes: tuple[GuessedSize, ...]
@@ -136,25 +138,41 @@ def caused_effects(run: Path) -> Effects:
     return {"rotor_misalignment": {"angle_rad": angle}}
 
 
-def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Effects | None = None) -> Verdict:
+def judge(
+    guesses: Iterable[Guess],
+    hidden: Effects,
+    fitted: Effects,
+    extra: Effects | None = None,
+    fits_as_well: Callable[[str, str], bool] = lambda guessed, hidden: False,
+) -> Verdict:
     """Compare guesses with the hidden effects.
 
     Parameters
     ----------
     fitted : mapping
-        Parameters of the recording's model: they replace sizes that were not given.
+        Parameters of the recording's model: stated beside guesses without a size.
     extra : mapping, optional
         Effects that the run itself caused (`caused_effects`): correct where they are guessed, but not missing where
         they are not.
+    fits_as_well : callable
+        Whether a guessed effect in a hidden one's place fits the recording as well, by their names.
     """
     guesses = tuple(guesses)
     true = {**hidden, **(extra or {})}
     right = tuple(guess.name for guess in guesses if guess.name in true)
+    missing = [name for name in hidden if name not in right]
+    as_good = []
+    for guess in guesses:
+        twin = next((one for one in missing if guess.name not in true and fits_as_well(guess.name, one)), None)
+        if twin is not None:
+            missing.remove(twin)
+            as_good.append(guess.name)
     sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(
         right=right,
-        wrong=tuple(guess.name for guess in guesses if guess.name not in true),
-        still_hidden=sum(name not in right for name in hidden),
+        as_good=tuple(as_good),
+        wrong=tuple(guess.name for guess in guesses if guess.name not in (*true, *as_good)),
+        still_hidden=len(missing),
         sizes=tuple(size for size in sizes if size is not None),
     )
 
@@ -166,12 +184,14 @@ def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) 
     if guessed is None:
         return None
     is_of_one_angle = _is_of_one_angle(guess.name, true)
+    # A grade of the model's own size would tell what nobody guessed.
+    is_graded = guess.size is not None and bool(true[parameter]) and not is_of_one_angle
     return GuessedSize(
         name=guess.name,
         parameter=parameter,
         guessed=guessed,
         is_given=guess.size is not None,
-        ratio=guessed / true[parameter] if true[parameter] and not is_of_one_angle else None,
+        ratio=guessed / true[parameter] if is_graded else None,
         is_of_one_angle=is_of_one_angle,
     )
 

@@ -12,6 +12,7 @@ from plugins.command_line import AsJson, entry_point
 
 if TYPE_CHECKING:
     from plugins.commands.probe._finding import Found, LinkName
+    from protocols import DriveError
 
 
 NO_RIPPLE = "not demodulated on the drive"
@@ -59,7 +60,7 @@ def probe(
                     silent.append((link, str(drive)))
         except DriveError as error:
             if (package := missing_package(error)) is None:
-                silent.append((link, str(error)))
+                silent.append((link, str(error) if named else _brief(error)))
             else:
                 unsearched[link.text.partition(":")[0]] = package
     if named and not drives:
@@ -70,6 +71,14 @@ def probe(
 
 
 command = entry_point(probe, "Example: fluxbench probe")
+
+
+def _brief(error: DriveError) -> str:
+    """Why a link that nobody named has no drive: most are empty."""
+    from protocols import DriveFault, FaultCause
+
+    is_empty = isinstance(error, DriveFault) and error.cause is FaultCause.NO_ANSWER
+    return "no answer" if is_empty else str(error)
 
 
 def _split(bus: str) -> tuple[str, str]:

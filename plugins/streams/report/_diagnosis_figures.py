@@ -311,6 +311,33 @@ def _loop(loop: FluxLoop, which: int, top_mwb: float) -> str:
     return uri(figure)
 
 
+def evenness_figures(before: FluxLoop | None, after: FluxLoop) -> Panels:
+    """The d axis's flux over i_q of a sweep of q: a symmetric machine's is the same on both sides."""
+    loops = [after] if before is None else [before, after]
+    top = 1.1 * max(np.abs(_about_mean(psi, 0)).max() for one in loops for psi in (one.psi_measured, one.psi_model))
+    return Panels(*(_evenness(one, top) for one in loops))
+
+
+def unevenness(psi: RealArray, i_q: RealArray) -> float:
+    """rms of the part of a sweep's d-axis flux that is odd in i_q, and linear or cubic in it [mWb]."""
+    x = i_q / np.abs(i_q).max()
+    powers = np.stack([np.ones_like(x), x, x**2, x**3, x**4], axis=1)
+    of = np.linalg.lstsq(powers, _about_mean(psi, 0), rcond=None)[0]
+    return _rms(powers[:, 1::2] @ of[1::2])
+
+
+def _evenness(loop: FluxLoop, top_mwb: float) -> str:
+    figure, axes = new_figure()
+    i_q = loop.i_dq[:, 1]
+    axes.plot(i_q, _about_mean(loop.psi_measured, 0), "-", color=BLACK, lw=2.4, label="measured")
+    axes.plot(i_q, _about_mean(loop.psi_model, 0), "--", color=MODEL, lw=1.4, label="model")
+    axes.axvline(0.0, color=GUIDE, lw=0.8)
+    axes.set_ylim(-top_mwb, top_mwb)
+    name_axes(axes, CURRENT_LABELS["q"], r"$\psi_d$ [mWb]")
+    legend_above(axes, 2)
+    return uri(figure)
+
+
 def _about_mean(psi: RealArray, which: int) -> RealArray:
     """One axis of a flux about its mean [mWb]: an integral knows no constant."""
     return np.asarray(1e3 * (psi[:, which] - psi[:, which].mean()))

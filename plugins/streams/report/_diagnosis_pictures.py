@@ -15,7 +15,7 @@ from orchestrator.formatting.sentences import listed
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._content import Picture
 from plugins.streams.report._motor_content import SAME_RESISTANCE_RATIO
-from protocols import CurrentExcerpt, DiagnosisReport, DiagnosisStep
+from protocols import CurrentExcerpt, DiagnosisReport, DiagnosisStep, FluxLoop
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -113,7 +113,10 @@ def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
     """What was done about the zero sequence, and what one common curve means."""
     steps = {"before": before} if before is after else {"before": before, "after": after}
     is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
-    meaning = "Where the phases fall together on one odd curve, the inverter is at fault."
+    meaning = (
+        "Where the phases fall together on one odd curve, the inverter is at fault; where their slopes differ, unequal "
+        "resistances or current sensors are."
+    )
     hidden = "A star connection hides the voltage that all three have in common"
     if not any(is_one_curve.values()):
         return f"{hidden}; it is not drawn. {meaning}"
@@ -163,8 +166,12 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
             first = before.loops[k]
             panels = figures.loop_figures(None if is_one else first, loop)
             errors = [f"{number(figures.loop_error(one), 2)} mWb" for one in (first, loop)]
-            caption = f"{loop.segment}, one period. {_below('model', errors, is_one)} Rising and falling apart: a loop."
+            caption = f"{loop.segment}, one period. {_below('model', errors, is_one)} {_open_loop(loop)}"
             yield Picture(f"Flux loop on {loop.swept_axis}", caption, panels.before, panels.after)
+    for k, loop in enumerate(after.loops):
+        if loop.swept_axis == "q":
+            panels = figures.evenness_figures(None if is_one else before.loops[k], loop)
+            yield Picture("Evenness in i_q", _evenness(before.loops[k], loop, is_one), panels.before, panels.after)
     alone, ripple = ([e for e in step.excerpts if e.amplitude_v is not None] for step in (before, after))
     if ripple:
         panels = figures.ripple_figures([] if is_one else alone, ripple)
@@ -183,6 +190,29 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
         scale = "" if is_one else " Each on a scale of its own."
         caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{scale}"
         yield Picture("R_s against the heat", caption, panels.before, panels.after)
+
+
+def _open_loop(loop: FluxLoop) -> str:
+    """What it means where rising and falling current do not fall together, beside what noise makes of it."""
+    text = "Rising and falling apart: a loop."
+    if loop.noise_wb is None:
+        return text
+    apart = number(2e3 * loop.noise_wb, 2)
+    return f"{text} The noise of the readings alone, integrated, moves them apart by up to {apart} mWb (95 %)."
+
+
+def _evenness(first: FluxLoop, loop: FluxLoop, is_one: bool) -> str:
+    """What an odd part of the flux across a sweep of q means, and how large it is."""
+    measured, *model = [
+        f"{number(figures.unevenness(psi, loop.i_dq[:, 1]), 2)} mWb"
+        for psi in (loop.psi_measured, first.psi_model, loop.psi_model)
+    ]
+    of_model = model[0] if is_one else f"{model[0]} before, {model[1]} after"
+    return (
+        f"{loop.segment}: the flux of the d axis while q is swept. A symmetric motor locked at the angle that the "
+        "drive believes has the same on the left and on the right. A tilt is of the angle, of the slots, or of "
+        f"unequal sensors. The odd part, rms: measured {measured}, model {of_model}."
+    )
 
 
 def _below(what: str, errors: Sequence[str], is_one: bool) -> str:

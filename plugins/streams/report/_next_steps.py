@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, operating_point, predicted_separation, quantity
+from orchestrator.formatting.quantities import duration, in_degrees, operating_point, predicted_separation, quantity
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
@@ -58,7 +58,8 @@ def _about_model(material: Material) -> str:
     if proposed is not None and decide == experiment_to_decide(proposed):
         first, second = map(plain, proposed.separates)
         takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
-        return f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
+        measure = f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
+        return f"{certain}; then {measure}" if (certain := _certain_remedy(material)) else measure
     if report.verdict == "clean":
         return "nothing is missing in it."
     if report.verdict not in ("explained", "explained_in_another_form"):
@@ -77,6 +78,17 @@ def _about_model(material: Material) -> str:
     return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}."
 
 
+def _certain_remedy(material: Material) -> str:
+    """What can be done already about the causes that no other effect may stand for; empty where there is none."""
+    if material.diagnosis is None or material.diagnosis.report.verdict != "explained":
+        return ""
+    report = material.diagnosis.report
+    doubtful = {str(one.values.get("effect")) for one in report.remarks if one.code == "fits_better_in_place"}
+    known = [e for e in report.effects if not e.twins and e.material is not False and e.name not in doubtful]
+    drive = None if material.manifest is None else material.manifest.drive
+    return _remedy(known, drive) if known else ""
+
+
 def _reached(material: Material) -> str:
     """The error of effects that were added by hand, beside the noise; empty where there are none."""
     step = material.present
@@ -91,7 +103,7 @@ def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:
     if not causes:
         return "no effect is large enough to be compensated; model.json includes them"
     in_drive = [f"{plain(cause.name)} ({_size(cause, drive)})" for cause in causes if _is_compensable(cause.name)]
-    others = [plain(cause.name) for cause in causes if not _is_compensable(cause.name)]
+    others = [_for_the_model(cause) for cause in causes if not _is_compensable(cause.name)]
     if not others:
         return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
     rest = f"use model.json for {listed(others)}, which few drives compensate"
@@ -106,13 +118,38 @@ def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
     """
     sizes = {name: p for name, p in cause.parameters.items() if not p.bends_form}
     unit = next((p.unit for p in sizes.values()), "")
-    shown = {parameter_words(name): quantity(p.value, p.unit, 4) for name, p in sizes.items() if p.unit == unit}
+    shown = {
+        parameter_words(name): quantity(p.value, p.unit, 4) + in_degrees(p.value, p.unit)
+        for name, p in sizes.items()
+        if p.unit == unit
+    }
     first = next(iter(cause.derived.items()), None)
     if first is not None and (entered := quantity(first[1].value, first[1].unit, 4)) not in shown.values():
         where = "" if drive is None else f" at {operating_point(drive)}"
         same = ", ".join(f"{name} {size}" for name, size in shown.items())
         return f"enter {entered} as compensation, or {same}{where}; leave the inverter's own {plain(first[0])} as it is"
-    return ", ".join(f"{name} {size}" for name, size in shown.items())
+    return "; ".join(
+        filter(None, [", ".join(f"{name} {size}" for name, size in shown.items()), _remedy_of(cause.name)])
+    )
+
+
+def _for_the_model(cause: FoundEffect) -> str:
+    """An effect that the model is for, with what its sizes mean where the effect states that."""
+    remedy = _remedy_of(cause.name)
+    sizes = [
+        f"{parameter_words(name)} {quantity(p.value, p.unit, 4)}{in_degrees(p.value, p.unit)}"
+        for name, p in cause.parameters.items()
+        if not p.bends_form
+    ]
+    return f"{plain(cause.name)} ({', '.join(sizes)}; {remedy})" if remedy else plain(cause.name)
+
+
+def _remedy_of(name: str) -> str:
+    """What the installed effect says of how its size is used; empty where it says nothing."""
+    try:
+        return str(getattr(load_plugin(PluginKind.EFFECTS, name), "remedy", ""))
+    except PluginError:
+        return ""
 
 
 def _is_compensable(name: str) -> bool:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import bare_model_step, compare_recording, model_step
+from orchestrator.diagnosis import bare_model_step, compare_recording, fits_as_well, model_step
 from orchestrator.recording import Recording, read_model
-from plugins.effects.inverter import DeviceDrop
-from protocols import MotorModel, RecordingError
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
+from protocols import Effect, MotorModel, RecordingError
 
 ALWAYS = ["one_pwm_frequency"]
 """What these recordings lack."""
@@ -37,6 +37,9 @@ def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> 
     assert report.chi2 == pytest.approx(1.0, abs=0.05)
     assert {s.stage for s in report.stages} == {s.stage.value for s in clean.segments()}
     assert all((s.chi2 or 0.0) < 1.5 for s in report.stages)
+    limits = {s.stage: s.chi2_of_noise or 0.0 for s in report.stages}
+    # Few values of noise have a large chi2 now and then, many never.
+    assert limits["gates_off"] > 1.5 * limits["classical"] > 1.5
     assert report.rms_v == pytest.approx(report.noise_floor.rms_v, rel=0.1)
     assert report.noise_floor.rms_v is not None
     # A mean over a window has its own noise: the worst of some forty is not many times the usual one.
@@ -93,3 +96,10 @@ def test_a_model_that_cannot_be_read_is_named(clean: Recording, tmp_path: Path) 
     (tmp_path / "model.json").write_text("{")
     with pytest.raises(RecordingError, match=r"model\.json"):
         compare_recording(clean, out=tmp_path)
+
+
+@pytest.mark.slow
+def test_a_drop_fits_as_well_as_a_dead_time_at_one_pwm_frequency(with_dead_time: Recording) -> None:
+    library: list[Effect] = [DeadTime(), DeviceDrop(), VoltageBias()]
+    assert fits_as_well(with_dead_time, ["dead_time"], "dead_time", "device_drop", library)
+    assert not fits_as_well(with_dead_time, ["dead_time"], "dead_time", "voltage_bias", library)

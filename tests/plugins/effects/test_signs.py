@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.types import Array
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from plugins.effects.inverter import BusSag, DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import EddyCurrents
 from plugins.effects.resistance import (
@@ -97,6 +98,38 @@ def test_measured_less_modelled_ripple_goes_with_the_slope_or_against_it_as_the_
     magnetising = true.i_ab if correction.i_m_ab is None else correction.i_m_ab
     apart = (of_voltage + signals.i_ab - magnetising)[20:-20, 0]
     assert sign * np.mean((apart - apart.mean()) * v[20:-20, 0]) > 0.0
+
+
+PICTURES = (
+    "Residual on the current plane",
+    "Residual against each phase's current",
+    "Flux loop",
+    "Evenness in i_q",
+    "Ripple",
+    "R_s against the heat",
+    "In no picture by itself",
+)
+
+
+@pytest.mark.parametrize("name", [info.name for info in installed(PluginKind.EFFECTS)])
+def test_a_signature_begins_with_the_picture_to_look_at(name: str) -> None:
+    assert load_plugin(PluginKind.EFFECTS, name).signature.startswith(PICTURES)
+
+
+def test_a_slow_sweep_has_the_skin_effects_inductance_and_the_ripple_has_not() -> None:
+    """R_x / (2 pi f_c) below the corner f_c, R_x f_c / (2 pi f^2) above it."""
+    extra_ohm, corner_hz, n = 2.0, 60.0, 20_000
+    inductances = []
+    for hertz in (2.0, 500.0):
+        turn = np.exp(2j * np.pi * hertz * np.arange(n) / FS)
+        signals = replace(readings(n), i_ab=np.stack([turn.real, turn.imag], axis=1))
+        true = corrected(SkinEffect(), signals, extra_ohm=extra_ohm, corner_hz=corner_hz)
+        dropped = (signals.v_ab - true.v_ab) @ np.array([1.0, 1.0j])
+        middle = 0.5 * (turn[n // 2 : -1] + turn[n // 2 + 1 :])
+        inductances.append(np.mean(dropped[n // 2 : -1] / middle).imag / (2.0 * np.pi * hertz))
+    np.testing.assert_allclose(inductances[0], extra_ohm / (2.0 * np.pi * corner_hz), rtol=0.02)
+    assert inductances[1] < 0.02 * inductances[0]
+    assert SkinEffect.signature.startswith("Ripple: larger than the model's")
 
 
 def test_voltage_bias_is_subtracted() -> None:

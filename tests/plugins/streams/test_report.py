@@ -546,7 +546,7 @@ def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finishe
     assert "Where the model fails R_s and a saturated map alone, without any effect: error " in page.text
     assert "Residual against each phase's own current" in page.text
     assert (
-        "voltage_bias The inverter keeps a constant voltage back from the commanded one. A constant residual"
+        "voltage_bias The inverter keeps a constant voltage back from the commanded one. Residual against each"
         in page.text
     )
     assert "draws where it fails" not in page.text

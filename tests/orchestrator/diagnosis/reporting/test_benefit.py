@@ -82,3 +82,12 @@ def test_an_effect_with_which_the_error_rises_does_not_help_whatever_the_likelih
     assert not helps(before, after)
     reported = added_remark("voltage_bias", before, after, None)
     assert reported.text.startswith("voltage bias does not help: the held-out error rises from 339 mV to 356 mV")
+
+
+def test_what_does_not_help_is_not_needed_either(biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
+    before, after = biased
+    errors = {id(before): 0.0285, id(after): 0.0315}
+    monkeypatch.setattr(benefit, "mean_rms_v", lambda fit, _: errors[id(fit)])
+    reported = removed_remark("voltage_bias", after, before)
+    assert reported.code == "not_needed"
+    assert reported.text == "voltage bias is not needed: without it the held-out error falls from 31.5 mV to 28.5 mV"

@@ -10,7 +10,18 @@ import pytest
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import MAX_POINTS, excerpts, flux_loops, ripple_pair
 from protocols import SegmentStage
-from tests.orchestrator.diagnosis.pieces import NOISE_A, Plan, fitter, free_model, piece, plan, prepared, ripple
+from tests.orchestrator.diagnosis.pieces import (
+    FS,
+    NOISE_A,
+    R_S,
+    Plan,
+    fitter,
+    free_model,
+    piece,
+    plan,
+    prepared,
+    ripple,
+)
 
 ANGLE = 0.6
 
@@ -26,6 +37,13 @@ def test_flux_of_a_sweep_by_integration_is_that_of_the_map(fit: Fit) -> None:
     for number, loop in enumerate((loops["d"], loops["q"])):
         assert np.ptp(loop.i_dq[:, number]) > 10.0 * np.ptp(loop.i_dq[:, 1 - number])
         np.testing.assert_allclose(loop.psi_measured, loop.psi_model, atol=0.02 * float(np.ptp(loop.psi_model)))
+
+
+def test_a_loop_states_what_the_noise_of_the_readings_adds_to_its_flux(fit: Fit) -> None:
+    for loop in flux_loops(fit):
+        assert loop.noise_wb is not None
+        walk = [R_S * NOISE_A * np.sqrt(0.5 * period_s / FS) for period_s in (0.1, 10.0)]
+        assert walk[0] < loop.noise_wb < walk[1]
 
 
 def test_predicted_current_is_the_measured_one_but_for_its_noise(fit: Fit) -> None:

@@ -17,6 +17,11 @@ def test_an_effect_is_described_with_its_pattern_and_what_to_do(capsys: pytest.C
     assert any(line.split()[:3] == ["voltage_v", "amplitude", "V"] for line in out.splitlines())
 
 
+def test_an_effect_with_a_measurement_of_its_own_at_the_bench_names_that(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["effects", "skin_effect"]) == 0
+    assert "a bridge at two frequencies" in capsys.readouterr().out
+
+
 def test_a_misspelt_effect_gets_the_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["effects", "dead_tim"]) == 2
     assert "did you mean 'dead_time'?" in capsys.readouterr().err

@@ -91,10 +91,20 @@ def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> Non
     assert [(size.parameter, size.ratio) for size in verdict.sizes] == [("voltage_v", 0.5), ("offset_b_a", 1.0)]
 
 
-def test_sizes_that_are_not_stated_are_the_models() -> None:
-    verdict = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}})
-    assert verdict.sizes[0].ratio == pytest.approx(1.1)
-    assert not verdict.sizes[0].is_given
+def test_a_size_that_was_not_given_is_the_models_and_is_not_graded() -> None:
+    (size,) = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}}).sizes
+    assert (size.guessed, size.is_given, size.ratio) == (2.2, False, None)
+
+
+def test_what_the_recording_cannot_tell_from_a_hidden_effect_counts_as_right() -> None:
+    def is_drop(guessed: str, hidden: str) -> bool:
+        return (guessed, hidden) == ("device_drop", "dead_time")
+
+    verdict = judge(read_guess("device_drop,current_offset"), HIDDEN, {}, None, is_drop)
+    assert (verdict.right, verdict.as_good, verdict.wrong) == (("current_offset",), ("device_drop",), ())
+    assert verdict.complete
+    # Beside the hidden one itself it is one too many.
+    assert judge(read_guess("device_drop,dead_time"), HIDDEN, {}, None, is_drop).wrong == ("device_drop",)
 
 
 def test_nothing_stands_alone() -> None:

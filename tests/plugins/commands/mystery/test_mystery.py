@@ -87,15 +87,23 @@ def test_a_hidden_effect_is_revealed_in_the_words_of_the_report(capsys: pytest.C
     assert "may lie outside the diagnosis' interval" in note
 
 
-def test_a_size_that_was_not_given_is_said_to_be_the_diagnosis_s(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_size_that_was_not_given_is_stated_and_not_confirmed(capsys: pytest.CaptureFixture[str]) -> None:
     hidden = {"dead_time": {"voltage_v": 2.0, "threshold_a": 0.1}}
     fitted = {"dead_time": {"voltage_v": 2.2}}
     for guess, size in (
-        ("dead_time", "no size was given, and the diagnosis' voltage 2.2 V is 10 % too large"),
+        ("dead_time", "no size was given, and none is graded; the run's model has voltage 2.2 V"),
         ("dead_time=1.9V", "voltage 1.9 V is 5 % too small"),
     ):
         _print_verdict(judge(read_guess(guess), hidden, fitted))
         assert capsys.readouterr().out.startswith(f"dead_time: right; {size}\n")
+
+
+def test_a_guess_that_fits_as_well_is_as_good(capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = {"current_filter": {"time_constant_s": 1e-5}}
+    _print_verdict(judge(read_guess("voltage_delay"), hidden, {}, None, lambda *_: True))
+    first, last = capsys.readouterr().out.splitlines()
+    assert first == "voltage_delay: as good: this recording cannot tell it from what is hidden"
+    assert last == "That is all there is."
 
 
 def test_a_size_of_one_rotor_angle_is_not_graded(capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,6 +125,8 @@ def test_reveal_tells_too_what_the_run_itself_caused(
     assert "rotor_misalignment: with what the run itself caused, the recording has angle 20 mrad" in verdict_on(
         capsys, run, "--reveal"
     )
+    monkeypatch.setattr("plugins.commands.mystery._guessing.sealed_effects", lambda _: turned)
+    assert "with what the run itself caused" not in verdict_on(capsys, run, "--reveal")
 
 
 def test_a_run_that_a_fault_ended_says_how_to_go_on(

@@ -15,7 +15,13 @@ from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures, write_report
-from plugins.streams.report._diagnosis_figures import _rising, hidden_sequence, ladder_figure, plane_figures
+from plugins.streams.report._diagnosis_figures import (
+    _rising,
+    hidden_sequence,
+    ladder_figure,
+    plane_figures,
+    unevenness,
+)
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures, step_pictures
 from protocols import DiagnosisStep, Reason
 from tests.orchestrator.discovery.test_command import a_discovery
@@ -70,13 +76,14 @@ def test_every_picture_of_the_diagnosis_is_on_the_page(page: str) -> None:
         "Residual against each phase",
         "Flux loop on d",
         "Flux loop on q",
+        "Evenness in i_q",
         "Ripple, measured and predicted",
         "A sweep, measured and simulated",
         "R_s against the heat",
     ]
     places = [page.index(f"<h3>{title}") for title in titles]
     assert places == sorted(places)
-    assert page.count("<img") == 14 + 16
+    assert page.count("<img") == 16 + 16
 
 
 @pytest.mark.slow
@@ -112,7 +119,7 @@ def test_one_rung_is_drawn_without_a_before() -> None:
     report = a_diagnosis(verdict="clean", effects=[], ladder=a_diagnosis().model_dump()["ladder"][:1])
     found = SavedDiagnosis(report, WORDS, some_steps()[:1])
     pictures = list(diagnosis_pictures(found))
-    assert len(pictures) == 9
+    assert len(pictures) == 10
     assert not any(picture.beside for picture in pictures)
 
 
@@ -275,6 +282,22 @@ def test_waveforms_are_drawn_before_and_after_with_the_sizes_of_both_errors() ->
         assert re.search(rf"rms [\d.]+ {unit} before, [\d.]+ {unit} after\.", drawn[title].caption)
         assert not alone[title].beside
         assert re.search(rf"rms [\d.]+ {unit}\.", alone[title].caption)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_flux_loop_says_how_far_noise_alone_opens_it() -> None:
+    (step, *_), opens = some_steps(), "moves them apart by up to"
+    noisy = step.model_copy(update={"loops": tuple(one.model_copy(update={"noise_wb": 1e-4}) for one in step.loops)})
+    unknown, known = ({p.title: p.caption for p in step_pictures(s, s)}["Flux loop on d"] for s in (step, noisy))
+    assert f"{opens} 0.2 mWb (95 %)" in known
+    assert opens not in unknown
+
+
+def test_the_uneven_part_of_a_flux_is_what_is_odd_in_i_q() -> None:
+    i_q = np.linspace(-3.0, 3.0, 301)
+    even, odd = 0.01 * i_q**2, 0.002 * i_q
+    psi = np.stack([even + odd, i_q], axis=1)
+    assert unevenness(psi, i_q) == pytest.approx(1e3 * float(np.sqrt(np.mean(odd**2))), rel=1e-6)
 
 
 @pytest.mark.usefixtures("undrawn")

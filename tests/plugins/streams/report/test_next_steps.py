@@ -76,8 +76,9 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
         (["hysteresis"], "use model.json for hysteresis, which few drives compensate."),
         (
             ["current_offset", "rotor_misalignment", "skin_effect"],
-            "compensate current offset (voltage 400 mV) and rotor misalignment (voltage 400 mV) in the drive, and use "
-            "model.json for skin effect, which few drives compensate.",
+            "compensate current offset (voltage 400 mV; subtract it from the readings of each sensor) and rotor "
+            "misalignment (voltage 400 mV; add it to the angle that the drive believes, such as the encoder's offset) "
+            "in the drive, and use model.json for skin effect, which few drives compensate.",
         ),
     ],
 )
@@ -188,3 +189,18 @@ def test_each_torque_has_its_shortest_current() -> None:
     assert lengths_a == pytest.approx([torque_nm / (1.5 * 2 * 0.3) for torque_nm in torques_nm], abs=0.01)
     assert all(abs(float(row[4].removesuffix("°").replace("−", "-")) - 90.0) < 2.0 for row in rows)  # no reluctance
     assert torque_rows(found, motor.model_copy(update={"pm_flux_wb": None})) == []
+
+
+def test_what_is_certain_is_done_before_the_experiment_that_tells_the_rest() -> None:
+    found = a_diagnosis().effects[0]
+    angle = {"angle_rad": {"value": 0.0454, "low": 0.04, "high": 0.05, "unit": "rad"}}
+    turned = found.model_dump() | {"name": "rotor_misalignment", "twins": (), "parameters": angle}
+    report = a_diagnosis(effects=[found, turned])
+    proposed = report.next_experiment
+    assert proposed is not None
+    words = WORDS.model_copy(update={"to_decide": experiment_to_decide(proposed)})
+    saved = SavedDiagnosis(report, words, ())
+    text = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))[-1].text
+    assert text.startswith("compensate rotor misalignment (angle 45.4 mrad (2.6°); add it to the angle")
+    assert "; then `fluxbench run --from run` measures" in text
+    assert "compensate dead time" not in text
