@@ -78,6 +78,8 @@ class VerdictRecord(Lenient):
     degrees_of_freedom: float
     held_out_chi2: Number = None
     """Mean square of the held-out stages' error over noise and map uncertainty; null where nothing is held out."""
+    held_out_equations: int = 0
+    """Number of equations that it is the mean of; few scatter by chance."""
     effects: int
     """Number of effects that are named as causes."""
     left_of_excitation: Number

@@ -154,7 +154,11 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     except (Exception, SystemExit) as error:
         raise PluginError(str(path), "", f"does not run: {_reason(error)}") from error
     own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    effects = [c for c in own if hasattr(c, "correct") or inspect.isclass(getattr(c, "Parameters", None))]
+    # What effects share may stand in a base class, which is none by itself.
+    bases = {base for c in own for base in c.__mro__[1:]}
+    effects = [
+        c for c in own if hasattr(c, "correct") or (inspect.isclass(getattr(c, "Parameters", None)) and c not in bases)
+    ]
     if not effects:
         raise PluginError(str(path), "", _NO_EFFECT)
     for plugin in effects:

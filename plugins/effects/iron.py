@@ -211,9 +211,9 @@ class Hysteresis(RandomBatchEffect):
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0, other_form=0.6)
         giving: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         by_axes: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
-        widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-500.0, high=500.0)
+        widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=100.0, low=-500.0, high=500.0)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
-        stiffening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=0.0, high=500.0)
+        stiffening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=100.0, low=0.0, high=500.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the stops' sum from the magnetising current."""

@@ -33,7 +33,8 @@ def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgeme
     limits : VerdictLimits, optional
         Limits; the record's by default.
     """
-    limits = limits or record.limits
+    record = record if limits is None else record.model_copy(update={"limits": limits})
+    limits = record.limits
     verdict, reasons = _by_residual(record, limits)
     contradictions = [*_periodic(record), *_gates_off(record, limits)]
     if contradictions:
@@ -65,7 +66,8 @@ def _by_residual(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     excess, largest_excess = _or_infinite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
     noise, bearable = max(limits.noise_chi2 - 1.0, chance), max(limits.explained_excess_chi2, chance)
     if excess <= noise and largest_excess <= bearable:
-        return "explained" if record.effects else "clean", _within_noise(record, 1.0 + noise, 1.0 + bearable)
+        held_out_limit = 1.0 + bearable + _held_out_chance(record)
+        return "explained" if record.effects else "clean", _within_noise(record, 1.0 + noise, held_out_limit)
     if not record.effects:
         return _without_effects(record, limits, chance)
     return _with_effects(record, limits)
@@ -242,13 +244,13 @@ def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) ->
 
 def _of_chi2(record: VerdictRecord, limit: float, claim: str) -> Reason:
     """Comparison of the larger chi2 of fitted and held-out stages with the excess that a verdict allows."""
-    fitted, largest = _or_infinite(record.chi2_after), _largest_chi2(record)
-    value, allowed = _as_texts(largest, 1.0 + limit)
-    name, stages = "chi2_per_dof", "The fitted stages"
-    if largest > fitted:
-        name, stages = "held_out_chi2_per_dof", "The stages that were not fitted"
+    name, stages, chi2, most = "chi2_per_dof", "The fitted stages", _or_infinite(record.chi2_after), 1.0 + limit
+    if _largest_chi2(record) > chi2:
+        name, stages, chi2 = "held_out_chi2_per_dof", "The stages that were not fitted", record.held_out_chi2 or 0.0
+        most += _held_out_chance(record)
+    value, allowed = _as_texts(chi2, most)
     text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} allows up to {allowed}."
-    return Reason(quantity=name, value=largest, limit=1.0 + limit, sentence=text)
+    return Reason(quantity=name, value=chi2, limit=most, sentence=text)
 
 
 def _of_fraction(fraction: float, limit: float, claim: str) -> Reason:
@@ -292,7 +294,14 @@ def _percent(part: float) -> str:
 
 
 def _largest_chi2(record: VerdictRecord) -> float:
-    return max(_or_infinite(record.chi2_after), record.held_out_chi2 or 0.0)
+    """chi2 of the fitted stages, or of the held-out ones less what chance makes of so few equations."""
+    return max(_or_infinite(record.chi2_after), (record.held_out_chi2 or 0.0) - _held_out_chance(record))
+
+
+def _held_out_chance(record: VerdictRecord) -> float:
+    """Excess chi2 of the held-out stages that is due to chance."""
+    few = record.held_out_equations
+    return record.limits.chance_sigmas * math.sqrt(2.0 / few) if few else 0.0
 
 
 def _or_infinite(value: float | None) -> float:

@@ -65,6 +65,7 @@ def verdict_record(
     return VerdictRecord(
         **_of_fitted_stages(before, after, effects),
         held_out_chi2=held_out_chi2(after),
+        held_out_equations=_prediction(after)[2],
         **gates_off_error(after),
         effect_widths={a.name: _widths(a, a.candidate.amplitudes) for a in after.model.active},
         periodic_lines=periodic_lines,

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
+from orchestrator.diagnosis.fitting.baseline import with_finest_map
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, Library
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
@@ -31,6 +32,8 @@ MIN_SHARE_OF_EXCESS: float = 0.2
 """Part of the excess chi2 - 1 that an effect has to remove to be added; half of it in the linear estimate."""
 MIN_RELATIVE_LINEAR_GAIN: float = 0.3
 """Linear gain of an alternative, relative to the best one's, from which it is refitted too."""
+MIN_SHARE_ON_ONE_MAP: float = 0.5
+"""Part of the excess chi2 that the best effect has to remove for all to be compared on the same map."""
 MAX_EXCESS_RATIO_TO_BEST: float = 2.0
 """Factor of the best alternative's excess chi2 up to which others are fitted to convergence."""
 INDISTINGUISHABLE_SHARE: float = 0.8
@@ -197,7 +200,20 @@ def _share(before: Fit, after: Fit) -> float:
 
 
 def _refit_all(state: SearchState, shortlist: Sequence[Score]) -> list[Fit]:
-    """Refits with each effect of the shortlist; only those near the best are fitted to convergence."""
+    """Refits with each effect of the shortlist.
+
+    On a map that is too coarse the right effect may remove little. Where none removes much of a part's misfit, each is
+    given the finest map that it justifies.
+    """
+    trials = _converged(state, shortlist)
+    may_be_map = state.is_part and state.fit.model.space.is_free and len(trials) > 1
+    if not may_be_map or max(_share(state.fit, trial) for trial in trials) > MIN_SHARE_ON_ONE_MAP:
+        return trials
+    return [with_finest_map(state.setup, state.fitter, trial) for trial in trials]
+
+
+def _converged(state: SearchState, shortlist: Sequence[Score]) -> list[Fit]:
+    """Refits on the present map; only those near the best are fitted to convergence."""
     rough = [added(state, scored) for scored in shortlist]
     dof = state.fit.dof
     near = MAX_EXCESS_RATIO_TO_BEST * max(min(trial.chi2 for trial in rough) - dof, 0.1 * dof) + dof

@@ -10,6 +10,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Library, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import contributions, is_material
 from orchestrator.diagnosis.judgement.intervals import (
     INTERVAL_SIGMAS,
@@ -27,6 +28,7 @@ from protocols import EffectParameter, FoundEffect, JointEntry, ParameterValue, 
 
 MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
 """Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
+IMITABLE: str = "what is left could imitate it"
 MAX_SHARE_OF_ERROR: float = 10.0
 """Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
 is balanced by another. Correct effects removed up to 1.7, a single confounded one 3.6, balanced ones 28 to 236."""
@@ -37,13 +39,36 @@ MAX_RELATIVE_SCATTER: float = 0.2
 
 
 def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
-    """Ladder of effects that were added one by one: one step per effect, in their order; each is a cause.
+    """Ladder of effects that were added one by one: one step per cause, in their order.
 
     All steps use the final effect parameters and noise; R_s and the map are refitted.
     """
-    names = state.fit.model.names
+    whole, first, names = state.fit, steps[0].fit, state.fit.model.names
     gains = {step.added: step.log_evidence for step in steps if step.added is not None} | dict(state.gains)
-    return SearchResult(_rungs(state, steps, names, gains), *_beside(state), view=state.view)
+    sizes = {} if state.is_explained else contributions(state.setup, first, whole)
+    limit = _imitable_share(first, whole)
+    below = tuple(n for n in names if n in sizes and sizes[n].relative_to_error <= limit)
+    for name in below:
+        state.fitter.trace.record(
+            "name",
+            [name],
+            after=whole,
+            measure="share",
+            score=sizes[name].relative_to_error,
+            threshold=limit,
+            taken=False,
+            note=IMITABLE,
+        )
+    causes = [n for n in names if n not in below]
+    return SearchResult(_rungs(state, steps, causes, gains), *_beside(state), view=state.view, below_materiality=below)
+
+
+def _imitable_share(first: Fit, whole: Fit) -> float:
+    """Share of the first error that an effect has to take away for what is left to be no imitation of it.
+
+    What a cause takes away, over the noise inflated to the residual, exceeds the residual over the noise itself.
+    """
+    return residual_fraction_of(first.chi2_per_dof, whole) * math.sqrt(max(whole.chi2_per_dof, 1.0))
 
 
 def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
@@ -56,13 +81,11 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     order = sorted(whole.model.names, key=lambda name: -sizes[name].relative_to_error)
     rest = residual_fraction_of(first.chi2_per_dof, whole)
     min_share = max(state.limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * rest)
-    # What a cause takes away, over the noise inflated to the residual, must exceed the residual over the noise itself:
-    # less may be the form of another effect.
-    imitable, absent = rest * math.sqrt(max(whole.chi2_per_dof, 1.0)), possibly_absent(state.fitter, whole)
+    imitable, absent = _imitable_share(first, whole), possibly_absent(state.fitter, whole)
     notes = dict.fromkeys(absent, "its 95 % interval contains no effect at all")
-    notes |= {n: "what is left could imitate it" for n in order if sizes[n].relative_to_error <= imitable}
+    notes |= {n: IMITABLE for n in order if sizes[n].relative_to_error <= imitable}
     clear = [n for n in order if n not in notes]
-    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
+    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)]
     for name in order:
         state.fitter.trace.record(
             "name",

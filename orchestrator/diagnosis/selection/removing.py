@@ -10,12 +10,13 @@ from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.form_mixture import mix_forms
 from orchestrator.diagnosis.judgement.intervals import certainty
 from orchestrator.diagnosis.judgement.verdict import prediction_gain
+from orchestrator.diagnosis.selection.adding import added
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -23,9 +24,11 @@ from orchestrator.diagnosis.selection.scoring import (
     keep_threshold,
     linear_gain,
     linear_gain_of_absent,
+    linear_view,
     log_bayes_factors,
     loss_without,
     redundant_terms,
+    score,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
@@ -213,6 +216,30 @@ def _swap(state: SearchState, name: str, other: EffectTerm) -> SearchState | Non
         known[other.name] = (*known.pop(name, ()), name) if are_tied else ()
         return replace(state.after(trial), indistinguishable=known)
     return replace(state, indistinguishable=_with_tie(known, name, other.name)) if are_tied else None
+
+
+def tied_moves(state: SearchState, library: Library) -> Iterator[Move]:
+    """Put an effect that did as well when one was added in that one's place: in its best shape it may do better."""
+    for name, others in state.indistinguishable.items():
+        for candidate in (c for c in library if c.name in others):
+            yield Move("swap", (name, candidate.name), partial(_swap_tied, state, name, candidate), is_once=True)
+
+
+def _swap_tied(state: SearchState, name: str, candidate: CandidateEffect) -> SearchState | None:
+    fit = state.fit
+    others = [a for a in fit.model.active if a.name != name]
+    alone = state.after(state.fitter.evaluate(fit.model.with_active(others), fit.linearisation))
+    rough = added(alone, score(linear_view(state.fitter, alone.fit, [candidate]))[0])
+    trial = with_best_shapes(state.after(state.minimum(rough.model, rough))).fit
+    gain = evidence_gain(trial, fit)
+    taken = gain > state.limits.tie
+    state.record("swap", (candidate.name, name), trial, gain, state.limits.tie, taken=taken)
+    if not taken:
+        return None
+    ties, gains = dict(state.indistinguishable), dict(state.gains)
+    ties[candidate.name] = (*(n for n in ties.pop(name) if n != candidate.name), name)
+    gains[candidate.name] = gains.pop(name)
+    return replace(state.after(trial), indistinguishable=ties, gains=gains)
 
 
 def merge_moves(state: SearchState) -> Iterator[Move]:

@@ -25,7 +25,13 @@ from orchestrator.diagnosis.selection.environment_moves import (
     with_fixed_effects,
 )
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
-from orchestrator.diagnosis.selection.removing import merge_moves, other_form_moves, remove_moves, swap_moves
+from orchestrator.diagnosis.selection.removing import (
+    merge_moves,
+    other_form_moves,
+    remove_moves,
+    swap_moves,
+    tied_moves,
+)
 from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, redundant_terms, score
 from orchestrator.diagnosis.selection.search_state import (
     MAX_SHAPE_ROUNDS,
@@ -150,6 +156,8 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         yield from free_moves(state, view, details=True)
     else:
         yield from fix_moves(state)
+        if not state.is_explained:
+            yield from tied_moves(state, library)
     yield from kink_moves(state)
     yield from map_for_effect_moves(state)
     yield from other_form_moves(state)

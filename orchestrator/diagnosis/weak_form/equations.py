@@ -261,11 +261,20 @@ def _sum_intervals(
                 v_d -= pm_flux * (turn[k + 1, 0] - turn[k, 0])
                 v_q -= pm_flux * (turn[k + 1, 1] - turn[k, 1])
             _add(v_sums, layout, k, v_d, v_q)
-            r_d = -r * (0.5 * ts * (id0 + id1) + sixth * gd)
-            r_q = -r * (0.5 * ts * (iq0 + iq1) + sixth * gq)
+            r_d = -r * (0.5 * ts * (id0 + id1) + _bounded(sixth * gd, ts * (id1 - id0) / 6.0))
+            r_q = -r * (0.5 * ts * (iq0 + iq1) + _bounded(sixth * gq, ts * (iq1 - iq0) / 6.0))
             _add(r_sums, layout, k, r_d, r_q)
         _combine(v_sums, layout, s, v_out)
         _combine(r_sums, layout, s, r_out)
+
+
+@njit(cache=True, nogil=True)
+def _bounded(bend: float, limit: float) -> float:
+    """The area between a current's course and its chord, where a trial map's inductance may be far too small.
+
+    The slopes at both ends differ by at most twice the chord's while the current moves one way.
+    """
+    return max(-abs(limit), min(abs(limit), bend))
 
 
 @njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -29,6 +30,9 @@ from protocols import NotMeasuredError, RecordingReader, Remark, Segment, Segmen
 
 HELD_OUT_EVERY: int = 5
 """One in this many injection points is held out of all fits, for validation."""
+MAX_HELD_OUT_SHARE: float = 0.4
+"""Maximum part of the points which others surround that is held out: the map needs the rest."""
+GOLDEN_RATIO: float = 0.5 * (math.sqrt(5.0) - 1.0)
 THINNED_TURNS: float = 1.25
 """Turns of the injected direction that a thinned point keeps: at least a full one after losses at the ends."""
 MIN_THINNED_SAMPLES: int = 1000
@@ -68,13 +72,10 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     segments = [s for s in recording.segments() if s.stage in USABLE]
     cutting = criteria.weak_form
     segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
-    injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
-    # Held-out points exclude a grid's first row and column, where the map would have to extrapolate.
-    held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
     pieces: list[SegmentData] = []
     short: list[Segment] = []
     for segment in segments:
-        piece = read_segment(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
+        piece = read_segment(recording, segment, wanted.get(segment.id), cutting)
         if piece is None:
             short.append(segment)
         else:
@@ -82,7 +83,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short))
-    pieces = _held_out_among_fitted(pieces)
+    pieces = _held_out_among_fitted(_with_points_held_out(pieces, cutting))
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
     pieces = with_rotor_turn(with_current_history(pieces))
@@ -103,6 +104,34 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
     spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, count)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
+
+
+def _with_points_held_out(pieces: list[SegmentData], criteria: WeakFormCriteria) -> list[SegmentData]:
+    """The segments with a part of the injection points held out."""
+    points = [p for p in pieces if p.stage is SegmentStage.INJECTION]
+    if len(points) < criteria.held_out_from:
+        return pieces
+    means = np.array([_currents(p).mean(axis=0) for p in points])
+    held = {points[k].segment.id for k in held_out_points(means)}
+    return [replace(p, held_out=p.held_out or p.segment.id in held) for p in pieces]
+
+
+def held_out_points(means: Array) -> list[int]:
+    """Which injection points are held out: one in `HELD_OUT_EVERY`, of those that others surround or that repeat one.
+
+    Multiples of the golden ratio spread them: a fixed stride would take a whole row or column of a grid.
+
+    Parameters
+    ----------
+    means : array, shape (points, 2)
+        Mean currents in the order of the recording [A].
+    """
+    slack = HULL_TOLERANCE * float(np.abs(means).max(initial=0.0))
+    is_near = np.linalg.norm(means[:, None] - means[None], axis=2) < slack
+    repeats, is_repeated = np.tril(is_near, -1).any(axis=1), np.triu(is_near, 1).any(axis=1)
+    fit = np.flatnonzero(repeats | ((_beyond_hull(means, means) < -slack) & ~is_repeated))
+    share = min(len(means) / (HELD_OUT_EVERY * max(len(fit), 1)), MAX_HELD_OUT_SHARE)
+    return [int(at) for k, at in enumerate(fit, 1) if k * GOLDEN_RATIO % 1.0 < share]
 
 
 def _held_out_among_fitted(pieces: list[SegmentData]) -> list[SegmentData]:
@@ -181,16 +210,20 @@ def lies_among(current: Array, others: Sequence[Array]) -> bool:
 
     False where there are no others.
     """
-    from scipy.spatial import ConvexHull, QhullError
-
     if not others:
         return False
     around = np.concatenate(others)
     slack = HULL_TOLERANCE * float(np.abs(around).max(initial=0.0))
+    return bool((_beyond_hull(current, around) > slack).mean() <= HULL_TOLERANCE)
+
+
+def _beyond_hull(points: Array, others: Array) -> Array:
+    """Signed distance of points (n, 2) from the convex hull of others, negative inside; on a line, from its ends."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
-        sides = ConvexHull(around).equations
-        beyond = (current @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+        sides = ConvexHull(others).equations
+        return np.asarray((points @ sides[:, :2].T + sides[:, 2]).max(axis=1))
     except QhullError:
-        low, high = around.min(axis=0), around.max(axis=0)
-        beyond = np.maximum(low - current, current - high).max(axis=1)
-    return bool((beyond > slack).mean() <= HULL_TOLERANCE)
+        low, high = others.min(axis=0), others.max(axis=0)
+        return np.asarray(np.maximum(low - points, points - high).max(axis=1))

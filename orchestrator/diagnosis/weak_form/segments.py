@@ -141,7 +141,7 @@ class PreparedRecording:
 
 
 def read_segment(
-    recording: RecordingReader, segment: Segment, held_out: bool, samples: int | None, criteria: WeakFormCriteria
+    recording: RecordingReader, segment: Segment, samples: int | None, criteria: WeakFormCriteria
 ) -> SegmentData | None:
     """The signals and windows of a segment; None where it is too short for one."""
     drive = recording.manifest.drive
@@ -188,9 +188,7 @@ def read_segment(
         **logged_fields(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
-    return SegmentData(
-        segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
-    )
+    return SegmentData(segment, diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay)
 
 
 def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array) -> Scatter:

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from orchestrator.diagnosis import judge, save_diagnosis
@@ -123,6 +124,17 @@ def test_few_readings_may_differ_from_the_noise_by_chance() -> None:
     assert judgement.verdict == "clean"
     assert judgement.reasons[0].limit == pytest.approx(1.3)
     assert judge(a_record(**few | {"chi2_after": 1.35, "left_of_excitation": 0.02})).verdict == "unknown_remains"
+
+
+@pytest.mark.parametrize(
+    ("equations", "verdict"), [(0, "mostly_explained"), (50, "explained"), (5000, "mostly_explained")]
+)
+def test_few_held_out_equations_may_differ_from_the_noise_by_chance(equations: int, verdict: str) -> None:
+    judgement = judge(a_record(held_out_chi2=1.7, held_out_equations=equations))
+    assert judgement.verdict == verdict
+    if equations == 50:
+        (held_out,) = [r for r in judgement.reasons if r.quantity == "held_out_chi2_per_dof"]
+        assert held_out.limit == pytest.approx(1.4 + 3.0 * np.sqrt(2.0 / 50.0))
 
 
 def test_a_report_of_an_older_version_has_no_reasons_and_keeps_its_notes() -> None:

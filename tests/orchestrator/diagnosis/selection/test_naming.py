@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
@@ -73,11 +75,15 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
 def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
     """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
     setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
-    assert _ladder(setup, bare, whole).below_materiality == ()
-    lesser, larger = sorted(log_bayes_factors(whole).items(), key=lambda item: item[1])
-    between = 0.5 * (lesser[1] + larger[1])
-    left = replace(whole, chi2=whole.dof + 2.0 * between)
-    assert _ladder(setup, bare, left).below_materiality == (lesser[0],)
+    lesser, larger = sorted(log_bayes_factors(whole), key=lambda name: log_bayes_factors(whole)[name])
+    unnamed = []
+    for left in np.geomspace(0.01, 1000.0, 12):
+        unnamed.append(set(_ladder(setup, bare, replace(whole, chi2=(1.0 + left) * whole.dof)).below_materiality))
+    # The more is left, the fewer are certain, and the one that takes away more is so for as long or longer.
+    assert unnamed[0] == set()
+    assert unnamed[-1] == {lesser, larger}
+    assert {larger} not in unnamed
+    assert all(one <= next_one for one, next_one in pairwise(unnamed))
 
 
 @pytest.mark.parametrize(("left", "named"), [(0.1, True), (0.4, False)])

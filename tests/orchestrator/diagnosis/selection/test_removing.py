@@ -13,7 +13,13 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.form_mixture import FormMixture
 from orchestrator.diagnosis.selection import removing, scoring
-from orchestrator.diagnosis.selection.removing import merge_moves, other_form_moves, remove_moves, swap_moves
+from orchestrator.diagnosis.selection.removing import (
+    merge_moves,
+    other_form_moves,
+    remove_moves,
+    swap_moves,
+    tied_moves,
+)
 from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search_state import SearchState, evidence_gain
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
@@ -144,6 +150,26 @@ def test_an_effect_makes_room_for_one_that_does_better_in_its_place(biased: Fitt
     assert set(right.indistinguishable) <= {"voltage_bias"}
     back = next((m.make() for m in swap_moves(right, view_of(right, library))), None)
     assert back is None or back.fit is right.fit
+
+
+def test_of_two_that_tied_when_one_was_added_the_one_with_the_better_form_stays() -> None:
+    """A drop over devices that conduct from a knee on, begun as a dead time."""
+    recording = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime(), DeviceDrop()], recording.manifest)
+    dead_time, drop = (c.absent() for c in library)
+    true = replace(drop, values={**drop.values, "voltage_v": 0.8, "threshold_a": 0.2, "growth": 0.6})
+    maker = fitter(with_voltage(recording, errors_of(true, recording)))
+    state = state_of(maker)
+    begun = dead_time.moved("voltage_v", 0.1).release("threshold_a")
+    wrong = state.after(state.minimum(state.fit.model.with_active([begun])))
+    wrong = replace(wrong, indistinguishable={"dead_time": ("device_drop",)}, gains={"dead_time": 1.0})
+    (move,) = tied_moves(wrong, library)
+    right = made(move)
+    assert right.fit.model.names == ("device_drop",)
+    assert right.fit.chi2_per_dof < wrong.fit.chi2_per_dof
+    assert right.indistinguishable == {"device_drop": ("dead_time",)}
+    (back,) = tied_moves(right, library)
+    assert back.make() is None
 
 
 @pytest.mark.slow

@@ -127,3 +127,14 @@ def test_change_of_rows_is_the_derivative_by_each_quantity(quantity: str, turn: 
     derivative = change_of_rows(batch, there, {quantity: h * shape}, at, PM_WB) / h
     # What it leaves out is the small correction of the trapezoidal rule.
     np.testing.assert_allclose(derivative, slope, atol=1e-3 * np.abs(slope).max())
+
+
+def test_a_trial_map_that_is_nearly_flat_at_a_current_does_not_change_what_the_resistance_takes() -> None:
+    """Between two readings the current leaves its chord by no more than slopes that differ by twice the chord's."""
+    one = piece(RIPPLE)
+    batch, there = SegmentBatch.of([one]), SignalBatch.of([one.signals])
+    local = local_map(batch, there, TRUE_MAP)
+    is_flat = np.arange(len(local.inductance)) % 97 == 5
+    flat = replace(local, inductance=np.where(is_flat[:, None], 1e-9, 1.0) * local.inductance)
+    taken, beside = (voltage_and_resistance(batch, there, one_map, PM_WB)[1] for one_map in (local, flat))
+    assert np.abs(beside - taken).max() < 0.01 * np.abs(taken).max()

