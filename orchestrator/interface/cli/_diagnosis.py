@@ -153,7 +153,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     elif report.effects:
         say_table(("cause", *heads), share_rows(report.effects))
     if report.minor:
-        say_table(("below materiality, and in the model", *heads), share_rows(report.minor))
+        say_table(("in the model, but not named", *heads), share_rows(report.minor))
     say_notes(share_notes(report))
     if traces := trace_words(report):
         say(f"detected, but too small to be named: {', '.join(traces)}")

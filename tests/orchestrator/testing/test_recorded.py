@@ -107,6 +107,6 @@ class OfFlux(VoltageBias):
 
 def test_an_effect_that_changes_nothing_is_refused_and_nothing_is_written(recorded: Path) -> None:
     copy = recorded.with_name("copy")
-    with pytest.raises(InputError, match=r"changes nothing in this recording \(i_abc, inductance_ab and psi_ab are not"):
+    with pytest.raises(InputError, match=r"changes nothing in this recording \(i_abc, inductance_ab and psi_ab"):
         recording_with(recorded, OfFlux(), copy, bias_a_v=0.3)
     assert not copy.exists()
