@@ -8,7 +8,8 @@ import numpy as np
 
 from orchestrator.importing._angles import believed_angle_rad, check_angle_column
 from orchestrator.importing._findings import Finding, Findings
-from orchestrator.importing._mapping import ImportMapping, Temperature
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._signals import Temperature
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
