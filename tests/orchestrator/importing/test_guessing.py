@@ -139,7 +139,7 @@ def test_a_phase_is_no_unit_and_unused_columns_are_named(tmp_path: Path, axes: s
     head = f"t;{';'.join(names)};temperature;rpm;counter\n{units}\n"
     others = [np.full(SOME.t.size, 21.5), SOME.t, SOME.t]
     guessed = guess_mapping(text(tmp_path / "log.csv", head, [SOME.t, *columns(SOME, 1e3), *others], ";"))
-    a, b, c = axes
+    a, b, c = list(axes)
     assert f"columns: {{a: I_{a}, b: I_{b}, c: I_{c}}}, unit: mA" in guessed.text
     assert f"columns: {{a: U_{a}, b: U_{b}, c: U_{c}}}, unit: V" in guessed.text
     assert "temperature: {column: temperature, unit: degC}" in guessed.text
