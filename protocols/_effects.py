@@ -90,6 +90,14 @@ SCALED_UNITS = ("A", "V", "ohm", "Wb", "H", "W", "Nm")
 PLAIN_UNITS = ("1", "s", "Hz", "rad", "K")
 """Units of quantities that do not scale with the machine."""
 
+_PREFIXES = {"n": "1e-9", "u": "1e-6", "µ": "1e-6", "m": "1e-3", "k": "1e3", "M": "1e6"}
+
+
+def _without_prefix(unit: str, known: tuple[str, ...]) -> str:
+    """What to write for a known unit behind a prefix, such as ``us``; empty for any other."""
+    prefix, plain = unit[:1], unit[1:]
+    return f"write {plain}, and {_PREFIXES[prefix]} in the sizes" if prefix in _PREFIXES and plain in known else ""
+
 
 def unit_powers(unit: str) -> dict[str, int]:
     """The powers of the known units in a product or a quotient: ``rad/Nm``, ``1/A^2``, ``V s``.
@@ -102,10 +110,10 @@ def unit_powers(unit: str) -> dict[str, int]:
     known = SCALED_UNITS + PLAIN_UNITS
     factor = rf"({'|'.join(known)})(\^[2-9])?"
     if not re.fullmatch(rf"{factor}( {factor})*(/{factor}( {factor})*)?", unit):
-        known_words = ", ".join(known)
-        raise ValueError(
-            f"unit {unit!r} cannot be scaled to a machine; expected a product or quotient of {known_words}"
-        )
+        expected = f"expected a product or quotient of {', '.join(known)}"
+        if hint := _without_prefix(unit, known):
+            expected += f"; {hint}"
+        raise ValueError(f"unit {unit!r} cannot be scaled to a machine; {expected}")
     powers: dict[str, int] = {}
     for sign, product in zip((1, -1), unit.split("/"), strict=False):
         for symbol, _, power in (part.partition("^") for part in product.split()):

@@ -275,11 +275,26 @@ def _to_decide(law: LearnedLaw) -> str:
     curves = [f.size * f.form.of(x, f.scale, f.power) for f in forms[:2] if isinstance(f, FormFit) and f.form]
     if len(curves) < 2:
         return ""
-    apart = np.abs(curves[0] - curves[1])
-    at = int(np.argmax(apart))
     unit, of = hypothesis.place.unit, hypothesis.quantity
+    at = decisive_index(curves[0], curves[1], _relative_error(_constants(law.best)))
+    if at is None:
+        range_text = f"up to {number(float(x[-1]))} {of.unit}"
+        return f"nothing to measure: {range_text} the forms differ by less than the error of their size; keep either"
     first, second = (quantity(float(c[at]), unit) if unit != "1" else number(float(c[at])) for c in curves)
     return f"measure at {of.text} = {number(float(x[at]))} {of.unit}: {first} by the first form, {second} by the second"
+
+
+def decisive_index(first: Array, second: Array, relative_error: float) -> int | None:
+    """Where two curves (n,) differ most; None where that is within an error of the first one's size."""
+    apart = np.abs(first - second)
+    at = int(np.argmax(apart))
+    return None if apart[at] <= relative_error * abs(float(first[at])) else at
+
+
+def _relative_error(constants: Sequence[Constant]) -> float:
+    """Half of the size's 95 % interval over the size, which comes first."""
+    size = constants[0]
+    return 0.5 * (size.high - size.low) / abs(size.value) if size.value else math.inf
 
 
 def _report(

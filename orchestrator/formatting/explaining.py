@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import UNKNOWN, number, percent, probability
 from orchestrator.formatting.sentences import listed
-from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
+from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchMeasure
 
 SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "needed", "chi2", "outcome")
 BASIS_HEAD = (
@@ -57,7 +57,8 @@ NEXT_STEPS: Mapping[str, str] = {
     "clean": "`fluxbench export {run}` and `fluxbench tune {run}` take the map as it is",
     "explained": "`fluxbench export {run}` and `fluxbench tune {run}` take the map with the effects accounted for",
     "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map and its error",
-    "mostly_explained": "`fluxbench compare {run}` and the report show which stages keep an error",
+    "mostly_explained": "`fluxbench compare {run}` shows which stages keep an error, and `fluxbench discover {run}` "
+    "looks for its law",
     "unknown_remains": "`fluxbench discover {run}` looks for the law that is missing",
     "convention": "mend what the reasons name in the logging or the mapping, and import or measure again",
     "cannot_tell": "measure again, longer or at larger currents; `fluxbench diagnose` then decides",
@@ -65,6 +66,15 @@ NEXT_STEPS: Mapping[str, str] = {
 """What to do next, by verdict; `{run}` is the run."""
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
+
+
+def reason_sentences(reasons: Sequence[Reason]) -> list[str]:
+    """The reasons' sentences; one value beside several limits is one sentence."""
+    limits: dict[str, list[str]] = {}
+    for reason in reasons:
+        value, separator, limit = reason.sentence.partition("; ")
+        limits.setdefault(value, []).extend([limit.removesuffix(".")] if separator else [])
+    return [f"{value}; {', '.join(some)}." if some else value for value, some in limits.items()]
 
 
 def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:

@@ -192,6 +192,12 @@ def companion_words(effect: FoundEffect, parameter: ParameterValue) -> str:
     return f"only its sum with {name} is determined: {total}"
 
 
+def effect_notes(report: DiagnosisReport) -> list[str]:
+    """What the effects themselves remark on their sizes."""
+    own = tuple(f"{effect.name}." for effect in (*report.effects, *report.minor))
+    return [remark.text for remark in report.remarks if remark.code.startswith(own)]
+
+
 def trace_words(report: DiagnosisReport) -> list[str]:
     """Effects that were detected but are too small to be named, each with the most that it may be."""
     listed_apart = {effect.name for effect in report.minor}

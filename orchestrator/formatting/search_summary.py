@@ -72,10 +72,19 @@ def _sentence(event: SearchEvent, tried: Sequence[SearchEvent]) -> str | None:
     if event.move in ("swap", "merge") and len(event.effects) == 2:
         return _exchanged(event)
     if event.move == "name" and event.decision == "rejected" and event.measure == "share":
-        share, limit = (percent(None if x is None else 100.0 * x) for x in (event.score, event.threshold))
-        return f"{_names(event)} is in the model and no cause: {share} of the first error, {limit} needed"
+        return _no_cause(event)
     text = _ACCEPTED.get(event.move)
     return None if text is None or event.decision != "accepted" else text(event)
+
+
+def _no_cause(event: SearchEvent) -> str:
+    """Why an effect of the model is not named: too small a share, or the reason where the share is large enough."""
+    share, limit = (percent(None if x is None else 100.0 * x) for x in (event.score, event.threshold))
+    is_enough = event.score is not None and event.threshold is not None and event.score >= event.threshold
+    what = f"{_names(event)} is in the model and no cause"
+    if is_enough and event.note:
+        return f"{what}, although it is {share} of the first error and {limit} are needed: {event.note}"
+    return f"{what}: {share} of the first error, {limit} needed{f'; {event.note}' if event.note else ''}"
 
 
 def _removed(event: SearchEvent) -> str | None:

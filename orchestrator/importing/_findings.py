@@ -16,6 +16,7 @@ class Finding(StrEnum):
     VOLTAGE_UNIT = "voltage_unit"
     BUS_UNIT = "bus_unit"
     ANGLE_UNIT = "angle_unit"
+    TEMPERATURE_UNIT = "temperature_unit"
     TIME_UNIT = "time_unit"
     UNIT_IN_FILE = "unit_in_file"
     ZERO_SEQUENCE = "zero_sequence"

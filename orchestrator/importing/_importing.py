@@ -24,7 +24,7 @@ from orchestrator.importing._timing import Clock
 from orchestrator.importing._waveform_checks import WaveformChecks
 from orchestrator.recording import SegmentWriter, open_recording, write_manifest
 from orchestrator.recording._recording_checks import SoundRecording
-from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
+from protocols import DriveRecord, InputError, Manifest, Motor, Segment, SegmentStage, StorageError, Strict
 
 
 class ImportReport(Strict):
@@ -122,6 +122,13 @@ class _Import:
         if self._splitter.leftover.rows:
             self._findings.note("leftover", self._left_over())
             self._findings.dropped_rows["fits no entry of segments"] = self._splitter.leftover.rows
+        common, without = (
+            self._mappings.common,
+            [rule for rule in self._mappings.common.segments if not rule.rotor_angle],
+        )
+        is_given = "rotor_angle" in common.model_fields_set or bool(self._mappings.rules)
+        if not is_given and any(rule.stage is not SegmentStage.GATES_OFF for rule in without):
+            self._findings.note("rotor_angle", "no rotor_angle in the mapping: 0 is assumed")
         earliest_s = min(0.0, *(segment.start_s for segment in self._segments)) if self._splitter.since_epoch else 0.0
         drive = self._mapping.drive
         manifest = Manifest(

@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.importing._angles import believed_angle_rad, check_angle_column
-from orchestrator.importing._findings import Findings
+from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._signals import Temperature
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
+from orchestrator.importing._units import ZERO_CELSIUS_K
 from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors, wrong_state
 from orchestrator.importing._waveform_checks import Waveforms
 from protocols import Capture, InputError, SegmentStage
 
+PLAUSIBLE_TEMPERATURE_C = (-80.0, 250.0)
+"""From the coldest climatic chamber to beyond the insulation class of 180 degC."""
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 
 
@@ -69,6 +73,8 @@ def segment_of(raw: RawSegment, stretch: Stretch, rate_hz: float, findings: Find
             if x is not None:
                 signals[name] = (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
     _check_bounds(signals, raw, stretch)
+    if mapping.temperature is not None:
+        _check_temperature(mapping.temperature, _there(signals["temperature_c"]), raw, findings)
     if signals.get("theta_rad") is not None:
         # 32 bits would not resolve an angle of many turns.
         signals["theta_rad"] = np.mod(_there(signals["theta_rad"]), 2.0 * np.pi)
@@ -97,6 +103,19 @@ def _phase_currents(mapping: ImportMapping, columns: Columns) -> Numbers | None:
     if mapping.current.frame == "abc" and len(mapping.current.columns) == 3:
         return phases(mapping.current, columns)
     return None
+
+
+def _check_temperature(temperature: Temperature, values_c: Numbers, raw: RawSegment, findings: Findings) -> None:
+    low, high = PLAUSIBLE_TEMPERATURE_C
+    median = float(np.median(values_c))
+    if low <= median <= high:
+        return
+    other = "degC" if temperature.unit == "K" else "K"
+    kelvin = ZERO_CELSIUS_K if temperature.unit == "K" else -ZERO_CELSIUS_K
+    stated = f"{median + max(kelvin, 0.0):.3g} {temperature.unit}"
+    text = f"{stated} is {median:.0f} degC" if temperature.unit == "K" else f"{stated} is no winding's temperature"
+    hint = f"; {other} would fit" if low <= median + kelvin <= high else ""
+    findings.doubt(Finding.TEMPERATURE_UNIT, str(raw.path), temperature.column, text + hint)
 
 
 def _check_bounds(signals: dict[str, Numbers | None], raw: RawSegment, stretch: Stretch) -> None:

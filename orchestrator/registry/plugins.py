@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import re
 import sys
 import typing
 from collections.abc import Hashable, Iterable, Mapping
@@ -51,6 +52,8 @@ _CONTRACTS: Mapping[PluginKind, type] = {
 }
 
 
+PLUGIN_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
+"""Names of plugins: a command line, a folder and a Python module can all have one."""
 UNKNOWN = "?"
 """Distribution and version of what no installed distribution provides."""
 
@@ -247,8 +250,8 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, AttributeError) and isinstance(known, type) and issubclass(known, Enum):
         members = [member.name for member in known]
         near = nearest(str(error.name), members)
-        hint = f"; did you mean {near}?" if near is not None else ";"
-        return f"{known.__name__} has no {error.name}{hint} It has {', '.join(members)}"
+        hint = f"; did you mean {near}? It" if near is not None else "; it"
+        return f"{known.__name__} has no {error.name}{hint} has {', '.join(members)}"
     return str(error) if isinstance(error, FluxbenchError) else f"{type(error).__name__}: {error}".splitlines()[0]
 
 

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from orchestrator.registry.plugin_methods import hook_problem
+from orchestrator.registry.plugins import PLUGIN_NAME
 from orchestrator.testing._effect_batches import EffectBatchChecks
 from orchestrator.testing._effect_physics import EffectPhysicsChecks
-from orchestrator.testing._kit import PLUGIN_NAME, Kit
+from orchestrator.testing._kit import Kit
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
 from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals, hook_of
 

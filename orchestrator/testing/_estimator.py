@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from orchestrator.registry.plugins import PLUGIN_NAME
 from orchestrator.testing._faults import faults_as_failures
-from orchestrator.testing._kit import PLUGIN_NAME, Kit, bounded
+from orchestrator.testing._kit import Kit, bounded
 from orchestrator.testing._recordings import Disguised, Empty, digest, read_only, turned
 from protocols import (
     Estimate,

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from importlib.metadata import entry_points
 from typing import Any, ClassVar
 
 import pytest
 
+from orchestrator.registry.plugins import PLUGIN_NAME
 from orchestrator.testing._faults import judged
-
-PLUGIN_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
 
 
 class Kit:

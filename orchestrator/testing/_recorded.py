@@ -7,18 +7,36 @@ same. A wrong sign in `correct` is a wrong sign here as well; it shows in how th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.weak_form.preparation import prepare
+from orchestrator.diagnosis.weak_form.segments import logged_fields
 from orchestrator.formatting.sentences import listed
 from orchestrator.recording import Recording, SegmentWriter, write_manifest
 from orchestrator.runs import open_any
-from protocols import Capture, Correction, Effect, EffectLayer, EffectParameters, InputError, Segment, Signals
+from protocols import (
+    Capture,
+    Correction,
+    Effect,
+    EffectLayer,
+    EffectParameters,
+    InputError,
+    NotMeasuredError,
+    Segment,
+    Signals,
+)
 
 INVERTED = ("i_ab", "v_ab", "v_dc", "resistance_ohm")
 """Signals whose correction can be inverted in the readings; the rotor's angle and the iron would need another motor."""
+FROM_HISTORY = ("start_temperature_c", "came_from_ab", "losses", "turned_rad")
+"""Signals of the time before a segment, as a diagnosis derives them."""
+OPTIONAL = ("i_abc", "temperature_c", "psi_ab", "inductance_ab")
+"""Signals that a recording or a model may lack, and an effect may read."""
 MAX_ITERATIONS = 100
 TOLERANCE = 1e-9
 """Largest difference from the recorded readings, over the largest of each."""
@@ -43,13 +61,16 @@ def recording_with(
     Raises
     ------
     InputError
-        Where the effect changes the rotor's angle or the magnetising current, or where its correction has no inverse.
+        Where the effect changes the rotor's angle or the magnetising current, nothing at all, or where its correction
+        has no inverse.
     """
     source, folder = open_any(Path(place)), Path(out)
+    history, values = _history(source), effect.Parameters(**parameters)
+    _require_change(source, history, effect, values)
     folder.mkdir(parents=True, exist_ok=True)
     segments = []
     for segment in source.segments():
-        capture = _with_effect(source, segment, effect, effect.Parameters(**parameters))
+        capture = _with_effect(source, segment, history.get(segment.id), effect, values)
         with SegmentWriter(folder, segment.id) as writer:
             writer.append(capture)
             written = writer.finish()
@@ -60,11 +81,41 @@ def recording_with(
     return Recording(folder, manifest)
 
 
-def _with_effect(source: Recording, segment: Segment, effect: Effect, parameters: EffectParameters) -> Capture:
+def _history(source: Recording) -> Mapping[str, Signals]:
+    """What a diagnosis knows of the time before each segment that it reads."""
+    try:
+        return {piece.segment.id: piece.signals for piece in prepare(source, Criteria()).pieces}
+    except NotMeasuredError:
+        return {}
+
+
+def _require_change(
+    source: Recording, history: Mapping[str, Signals], effect: Effect, parameters: EffectParameters
+) -> None:
+    """Raise `InputError` where the effect changes no signal of any segment, with the signals that none has."""
+    missing = set(OPTIONAL)
+    for segment in source.segments():
+        given = _signals(source, segment, source.load(segment), history.get(segment.id))
+        missing -= {name for name in OPTIONAL if getattr(given, name) is not None}
+        if _acts(effect, given):
+            arrays = effect.correct(given, parameters).arrays
+            if any(not np.array_equal(x, getattr(given, name)) for name, x in arrays.items()):
+                return
+    without = f" ({listed(sorted(missing))} {'is' if len(missing) == 1 else 'are'} not given)" if missing else ""
+    raise InputError(effect.name, "", f"the effect changes nothing in this recording{without}")
+
+
+def _acts(effect: Effect, signals: Signals) -> bool:
+    return signals.bridge_on or effect.layer is EffectLayer.CURRENT_SENSORS
+
+
+def _with_effect(
+    source: Recording, segment: Segment, history: Signals | None, effect: Effect, parameters: EffectParameters
+) -> Capture:
     """A segment's readings that the effect corrects to the recorded ones, by fixed-point iteration."""
     recorded = source.load(segment)
-    given = _signals(source, segment, recorded)
-    if not given.bridge_on and effect.layer is not EffectLayer.CURRENT_SENSORS:
+    given = _signals(source, segment, recorded, history)
+    if not _acts(effect, given):
         return recorded
     readings = given
     for _ in range(MAX_ITERATIONS):
@@ -99,7 +150,7 @@ def _missing(effect: Effect, given: Signals, readings: Signals, corrected: Corre
     return missing
 
 
-def _signals(source: Recording, segment: Segment, capture: Capture) -> Signals:
+def _signals(source: Recording, segment: Segment, capture: Capture, history: Signals | None) -> Signals:
     """A segment as an effect sees it, without the flux, which no reading shows."""
     manifest, samples, fs = source.manifest, len(capture), capture.sampling_frequency_hz
     i_ab = np.asarray(capture.i_ab, dtype=np.float64)
@@ -114,8 +165,11 @@ def _signals(source: Recording, segment: Segment, capture: Capture) -> Signals:
         theta_rad=np.full(samples, segment.rotor_angle_rad),
         resistance_ohm=np.full(samples, resistance),
         i_m_ab=i_ab,
-        heat_j=1.5 * resistance * np.cumsum(np.sum(i_ab**2, axis=1)) / fs,
+        heat_j=(0.0 if history is None else history.heat_j[0])
+        + 1.5 * resistance * np.cumsum(np.sum(i_ab**2, axis=1)) / fs,
         motor=manifest.motor,
         drive=manifest.drive,
         bridge_on=segment.stage.value != "gates_off",
+        **logged_fields(capture, samples, 1),
+        **({} if history is None else {name: getattr(history, name) for name in FROM_HISTORY}),
     )

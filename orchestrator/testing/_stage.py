@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from orchestrator.config import Plan, check_plan, make_plan
 from orchestrator.engine import table_of
+from orchestrator.registry.plugins import PLUGIN_NAME
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
-from orchestrator.testing._kit import PLUGIN_NAME, Kit
+from orchestrator.testing._kit import Kit
 from protocols import (
     DriveChoice,
     Limits,

@@ -42,6 +42,9 @@ NOT_COMPENSABLE = "a drive cannot take it out"
 DRIFTS = "it changes with time, which no table can follow"
 UNLIKE_LEGS = "{where}; the code has one table for all legs"
 PARTLY = "it is compensated in part: {part} of what it changes depends on more than the tables know"
+OF_MEAN_LEG = (
+    "it is compensated in part: leg {leg}'s loss is {percent:.0f} % {which} than the legs' mean, which the table has"
+)
 
 
 @dataclass(frozen=True)
@@ -188,8 +191,11 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
         for name, p in kept.parameters.items()
         if p.fitted and p.low is not None and p.high is not None
     ]
-    part = response.outside_ratio
-    return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.with_variances(ends)
+    whole = response.with_variances(ends)
+    if response.outside_ratio <= MAX_OUTSIDE_RATIO:
+        return None, whole
+    of_leg = _uneven_leg(probes.leg_losses(term), probes.bus_v) if effect.layer is EffectLayer.INVERTER else ""
+    return of_leg or PARTLY.format(part=f"{response.outside_ratio:.0%}"), whole
 
 
 def _reason(probes: Probes, term: EffectTerm) -> str:
@@ -212,6 +218,19 @@ def _unlike_legs(lost_v: Array, bus_v: float) -> str:
     if len(phases) == 3:
         return "its loss differs from phase to phase"
     return f"in phase {phases[0]} alone" if len(phases) == 1 else f"in phases {listed(phases)} alone"
+
+
+def _uneven_leg(lost_v: Array, bus_v: float) -> str:
+    """The leg whose loss (3, k) differs most from the mean, where it differs at all that much; else empty."""
+    mean = lost_v.mean(axis=0)
+    if float(np.sqrt(np.mean(mean**2))) <= TRACE_RATIO * bus_v:
+        return ""
+    ratios = lost_v @ mean / (mean @ mean) - 1.0
+    leg = int(np.argmax(np.abs(ratios)))
+    if abs(ratios[leg]) <= MAX_OUTSIDE_RATIO:
+        return ""
+    which = "larger" if ratios[leg] > 0.0 else "smaller"
+    return OF_MEAN_LEG.format(leg="abc"[leg], percent=100.0 * abs(ratios[leg]), which=which)
 
 
 def _at(term: EffectTerm, name: str, value: float) -> EffectTerm:

@@ -106,7 +106,10 @@ def limits_of(
     usable = (1.0 - VOLTAGE_RESERVE) * bus / math.sqrt(3.0)
     if machine.r_s_ohm * current >= usable:
         drop, most = quantity(machine.r_s_ohm * current, "V"), quantity(usable, "V")
-        raise InputError(WHERE, "bus_v", f"R_s alone takes {drop} of the {most} that the bus allows")
+        needed, allowed = number(bus * machine.r_s_ohm * current / usable, 3), number(usable / machine.r_s_ohm, 3)
+        text = f"R_s alone takes {drop} of the {most} that the bus allows"
+        advice = f"give a bus above {needed} V (--bus-v) or a current below {allowed} A peak (--current-a)"
+        raise InputError(WHERE, "bus_v", f"{text}: {advice}")
     speed = _largest_speed(machine, speed_rpm, bus)
     fastest = 2.0 * math.pi * sampling / MIN_SAMPLES_PER_TURN
     if speed > fastest:

@@ -66,8 +66,11 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
 
 
 def notes(report: TuningReport) -> list[str]:
-    """The remarks, and the effects that are not compensated with their reasons."""
-    left_out = [f"not compensated: {plain(name)}, {reason}" for name, reason in report.left_out.items()]
+    """The remarks, and the effects that are not compensated, or in part, with their reasons."""
+    left_out = [
+        f"{plain(name)}: {reason}" if name in report.compensated else f"not compensated: {plain(name)}, {reason}"
+        for name, reason in report.left_out.items()
+    ]
     return [*(remark.text for remark in report.remarks), *left_out]
 
 

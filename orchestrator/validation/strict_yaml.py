@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.validation.json_text import refuse_half_characters
-from orchestrator.validation.messages import KeyPath
+from orchestrator.validation.messages import KeyPath, nearest
 from orchestrator.validation.plain_files import read_text
 from protocols import InputError, ProcedureError
 
@@ -83,11 +83,19 @@ def read_document(path: Path, error: type[InputError] = InputError) -> Document:
     except ProcedureError as problem:
         raise error(problem.where, problem.field, problem.problem) from None
     except OSError as problem:
-        raise error(str(path), "", f"cannot be read: {problem.strerror or problem}") from None
+        raise error(str(path), "", f"cannot be read: {problem.strerror or problem}{_nearest_file(path)}") from None
     except UnicodeDecodeError as problem:
         raise error(str(path), "", f"not UTF-8 at byte {problem.start}") from None
     except ValueError as problem:
         raise error(repr(str(path)), "", f"cannot be read: {problem}") from None
+
+
+def _nearest_file(path: Path) -> str:
+    """A hint at the YAML file of that folder with the most similar name; empty where the file is there, or none is."""
+    if path.exists() or not path.parent.is_dir():
+        return ""
+    near = nearest(path.name, [file.name for ending in ("yaml", "yml") for file in path.parent.glob(f"*.{ending}")])
+    return "" if near is None else f"; did you mean {str(path.with_name(near))!r}?"
 
 
 def apply_override(document: Document, override: str) -> None:

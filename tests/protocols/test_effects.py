@@ -57,6 +57,7 @@ GOOD: dict[str, Any] = {"unit": "V", "typical": 0.15, "prior_width": 0.3, "low":
         ({"typical": 7.0}, "typical 7 is not between"),
         ({"high": float("inf")}, "high is inf"),
         ({"unit": "kV"}, "unit 'kV' cannot be scaled to a machine; expected a product or quotient of A, V, ohm, Wb"),
+        ({"unit": "us"}, "s, Hz, rad, K; write s, and 1e-6 in the sizes"),
         ({"unit": " "}, "unit ' '"),
     ],
 )

@@ -194,5 +194,6 @@ def _scatter(fit: Fit, column: int) -> float:
     w = np.diff(np.concatenate([[0.0], weight[at]]))
     p = np.diff(np.concatenate([[0.0], pull[at]]))
     known = w > 0.0
-    beyond = float(np.mean((p[known] / w[known]) ** 2 - 1.0 / w[known]))
+    # Weighted by information: the last block may have nearly none, so that its own estimate is arbitrary.
+    beyond = float(np.sum(p[known] ** 2 / w[known] - 1.0) / w.sum())
     return math.sqrt(max(beyond, 0.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS
 from orchestrator.formatting.names import plain
+from orchestrator.formatting.results import effect_notes
 from protocols import DiagnosisReport, EffectBasis, Explanation, MotorModel, SearchEvent
 
 
@@ -34,6 +35,7 @@ def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> 
             )
             for effect in report.effects
         ),
+        notes=tuple(effect_notes(report)),
         model_changes=() if model is None else model_changes(report, model),
     )
 

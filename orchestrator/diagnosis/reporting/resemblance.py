@@ -172,7 +172,7 @@ def pair_remarks(pairs: Sequence[tuple[str, str]]) -> list[Remark]:
     """A remark, ``resemble_each_other``, for each pair of effects that are both in the model."""
     text = (
         "{effect} and {other} are both in the model and resemble each other: this recording does not determine their "
-        "sizes separately; remove one of them"
+        "sizes separately; `fluxbench remove` each in turn, and leave out the one without which chi2 rises less"
     )
     return [
         Remark.of("resemble_each_other", text, effect=plain(one), other=plain(other)).model_copy(

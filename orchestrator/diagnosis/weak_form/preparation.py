@@ -128,8 +128,8 @@ def held_out_points(means: Array) -> list[int]:
     """
     slack = HULL_TOLERANCE * float(np.abs(means).max(initial=0.0))
     is_near = np.linalg.norm(means[:, None] - means[None], axis=2) < slack
-    repeats, is_repeated = np.tril(is_near, -1).any(axis=1), np.triu(is_near, 1).any(axis=1)
-    fit = np.flatnonzero(repeats | ((_beyond_hull(means, means) < -slack) & ~is_repeated))
+    # Of a point measured twice one is fitted: the second where others surround it, else the first.
+    fit = np.flatnonzero((_beyond_hull(means, means) < -slack) ^ np.tril(is_near, -1).any(axis=1))
     share = min(len(means) / (HELD_OUT_EVERY * max(len(fit), 1)), MAX_HELD_OUT_SHARE)
     return [int(at) for k, at in enumerate(fit, 1) if k * GOLDEN_RATIO % 1.0 < share]
 

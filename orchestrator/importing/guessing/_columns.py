@@ -14,7 +14,7 @@ from orchestrator.importing._hdf5 import list_datasets
 from orchestrator.importing._matlab import inflated_size
 from orchestrator.importing._source import TIMESTAMPS
 from orchestrator.importing.guessing._layout import TextLayout, text_layout
-from orchestrator.importing.guessing._units import name_and_unit, unit_of
+from orchestrator.importing.guessing._units import names_and_units, unit_of
 from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
@@ -66,7 +66,7 @@ def variables_of(names: Sequence[str]) -> list[str]:
 
 
 def _with_units(names: list[str], units: dict[str, str], layout: TextLayout | None = None) -> Columns:
-    in_names = {name: unit for name in names if (unit := name_and_unit(name)[1]) is not None}
+    in_names = {name: unit for name, (_, unit) in names_and_units(names).items() if unit is not None}
     return Columns(names, in_names | {name: unit for name, unit in units.items() if unit}, layout)
 
 

@@ -30,6 +30,8 @@ _RATES_HZ = (500.0, 2e6)
 _TIME_UNITS = ("s", "ms", "us", "ns")
 _MAX_CURRENT_A, _MAX_VOLTAGE_V = 2000.0, 5000.0
 """Largest credible readings where neither nameplate nor bus is known; larger ones are in mA and mV."""
+_MIN_KELVIN = 220.0
+"""A temperature above it is in K: the coldest bench, which is warmer than the hottest winding in degC."""
 _MAX_RATED_RATIO, _MAX_BUS_RATIO = 20.0, 5.0
 """The same over the rated current and the bus voltage, as the import accepts them."""
 
@@ -64,6 +66,19 @@ class _Lines:
     @property
     def text(self) -> str:
         return "\n".join(self._lines) + "\n"
+
+
+def used_columns(data: Any) -> set[str]:
+    """The columns that a mapping names, at any depth."""
+    used: set[str] = set()
+    for key, value in data.items():
+        if key in ("column", "segment_column"):
+            used.add(value)
+        elif key == "columns":
+            used |= set(value.values())
+        elif isinstance(value, dict):
+            used |= used_columns(value)
+    return used
 
 
 def _yaml(value: object) -> str:
@@ -118,8 +133,11 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: Import
     if drive is not None:
         most_v = _MAX_BUS_RATIO * drive.dc_bus_voltage_v
     _say_signals(path, lines, columns, raw, ("current", current, "A", most_a), ("voltage", voltage, "V", most_v))
-    _say_angle(path, lines, columns, roles, raw, current, voltage)
+    _say_temperature(lines, columns, roles, raw)
+    _say_angle(path, lines, columns, roles, raw)
     _say_segments(path, lines, roles)
+    if unused := [name for name in columns.names if name not in used_columns(lines.data)]:
+        lines.doubts.append(f"not used: {', '.join(unused)}")
     _try(path, lines)
     return Guess(lines.text, tuple(lines.doubts))
 
@@ -148,7 +166,7 @@ def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
 def _read(path: Path, columns: Columns, roles: Roles, *signals: Signal) -> dict[str, Numbers]:
     """The columns of numbers that have a role, as they are in the file."""
     names = [name for signal in signals for name in signal.columns.values()]
-    names += [roles.one[role] for role in ("bus", "angle") if role in roles.one]
+    names += [roles.one[role] for role in ("bus", "temperature", "angle") if role in roles.one]
     layout = CsvLayout() if columns.layout is None else columns.layout.csv
     time = roles.one.get("time")
     if time is not None:
@@ -263,13 +281,20 @@ def _say_signals(
         lines.say(key, section, f"by the names; {why}")
 
 
-def _say_angle(
-    path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers], *signals: Signal
-) -> None:
+def _say_temperature(lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers]) -> None:
+    name = roles.one.get("temperature")
+    if name is None or not np.any(np.isfinite(raw[name])):
+        return
+    typical = float(np.nanmedian(raw[name]))
+    unit = columns.units.get(name, "K" if typical > _MIN_KELVIN else "degC")
+    if unit in ("degC", "K"):
+        why = "the file gives the unit" if name in columns.units else f"about {typical:.3g}, as {unit}"
+        lines.say("temperature", {"column": name, "unit": unit}, f"the name; {why}")
+
+
+def _say_angle(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers]) -> None:
     name = roles.one.get("angle")
     if name is None:
-        if any(signal.frame == "dq" for signal in signals):
-            lines.doubts.append("rotor_angle: no column of an angle; a locked rotor is taken for it")
         return
     largest = float(np.nanmax(np.abs(raw[name])))
     unit = columns.units.get(name, "rad" if largest <= 2.0 * np.pi + 1e-3 else "deg" if largest <= 360.0 else "")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.importing._signals import Axis, Frame
-from orchestrator.importing.guessing._units import name_and_unit
+from orchestrator.importing.guessing._units import names_and_units
 
 _Namings = tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...]
 """Names of the axes of each frame."""
@@ -56,7 +56,9 @@ class Roles:
 
 def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
     """The roles of columns by their names, or by the file's descriptions."""
-    plain = {name: _plain(called.get(name, name)) for name in names}
+    texts = {name: called.get(name, name) for name in names}
+    without_unit = names_and_units(list(texts.values()))
+    plain = {name: _plain(without_unit[text][0]) for name, text in texts.items()}
     one: dict[str, str] = {}
     for role, pattern in _ONE.items():
         found = next((name for name in names if re.fullmatch(pattern, plain[name]) and name not in one.values()), None)
@@ -78,8 +80,8 @@ def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
 
 
 def _plain(name: str) -> str:
-    """The letters and digits of a name, without unit, path and a scope's channel: ``CH2 Ia (A)`` is ``ia``."""
-    last = re.sub(r"^(?:ch|channel|c)\s*\d+[\s:_-]+(?=\S)", "", name_and_unit(name)[0].strip().lower())
+    """The letters and digits of a name without its unit, without path and a scope's channel: ``CH2 Ia`` is ``ia``."""
+    last = re.sub(r"^(?:ch|channel|c)\s*\d+[\s:_-]+(?=\S)", "", name.strip().lower())
     return re.sub(r"[^a-z0-9αβ]", "", last.rpartition("/")[2].rpartition(".")[2])
 
 

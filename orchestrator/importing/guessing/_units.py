@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection, Sequence
 
 RMS = " rms"
 """Suffix of units of rms values, which the mapping expresses as a scaling."""
@@ -25,13 +26,26 @@ _UNITS = {
 }
 _PREFIXED = {"mA", "uA", "kA", "mV", "uV", "kV"}
 _AFTER = re.compile(r"(.*?)[ _]*[\[(/]\s*([^\[\]()/]+?)\s*[\])]?$")
-_SUFFIX = re.compile(r"(.+)_(A|mA|V|mV|kV|s|ms|us|ns|deg|rad)$")
+_SUFFIX = re.compile(r"(.+)_(A|mA|V|mV|kV|s|ms|us|ns|deg|rad|degC)$")
+_PHASES = ("abc", "uvw", "rst")
 
 
 def unit_of(text: str) -> str | None:
     """The mapping's unit for a text such as ``[mA]``, ``Volts`` or ``µs``; None for any other text."""
     plain = text.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
     return plain if plain in _PREFIXED else _UNITS.get(plain.lower())
+
+
+def names_and_units(names: Sequence[str]) -> dict[str, tuple[str, str | None]]:
+    """Each column's name without its unit, and the unit; beside ``I_U``, ``I_V`` is a phase and not in volts."""
+    lower = {name.strip().lower() for name in names}
+    return {name: (name, None) if _is_phase(name.strip().lower(), lower) else name_and_unit(name) for name in names}
+
+
+def _is_phase(name: str, names: Collection[str]) -> bool:
+    start, _, end = name.rpartition("_")
+    phases = next((phases for phases in _PHASES if end and end in phases), "")
+    return any(f"{start}_{other}" in names for other in phases if other != end)
 
 
 def name_and_unit(name: str) -> tuple[str, str | None]:

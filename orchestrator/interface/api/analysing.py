@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from orchestrator.interface.api.threads import one_thread
 from orchestrator.recording import has_model, read_model, require_recording
-from orchestrator.registry.plugins import PluginKind, load_effects_file, make_plugins
+from orchestrator.registry.plugins import PLUGIN_NAME, PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from protocols import (
     AddReport,
@@ -25,6 +25,7 @@ from protocols import (
     InputError,
     MotorModel,
     PluginError,
+    Remark,
 )
 
 if TYPE_CHECKING:
@@ -281,9 +282,13 @@ def add(
     """
     from orchestrator.diagnosis import add_effects
 
-    return add_effects(
+    report = add_effects(
         open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out), tell=tell
     )
+    if not effects or all(remark.code != "in_model" for remark in report.remarks):
+        return report
+    text = "if an effect's file has changed since: `fluxbench remove` it first, then `add` fits it again"
+    return report.model_copy(update={"remarks": (*report.remarks, Remark.of("file_may_have_changed", text))})
 
 
 @one_thread()
@@ -351,8 +356,12 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
     else:
         where, own = "effects", list(more)
     for effect in map(guarded, own):
+        if not PLUGIN_NAME.match(effect.name):
+            problem = "a name has lower-case letters, digits and underscores"
+            raise PluginError(where, effect.name, problem)
         if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
-            raise PluginError(where, effect.name, "an effect of that name exists already: choose another")
+            problem = "an effect of that name exists already: choose another, or leave --effects out if it is this one"
+            raise PluginError(where, effect.name, problem)
         effects.append(effect)
     return effects
 

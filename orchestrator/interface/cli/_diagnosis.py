@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.explaining import accuracy_sentences
+from orchestrator.formatting.explaining import accuracy_sentences, reason_sentences
 from orchestrator.formatting.names import plain, slots
 from orchestrator.formatting.progress import Progress
 from orchestrator.formatting.quantities import number, quantity
@@ -151,7 +151,7 @@ def _print_comparison(path: Path, report: CompareReport) -> None:
 
 
 def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords) -> None:
-    say(f"{path}: {plain(report.verdict)}", *(f"  {reason.sentence}" for reason in report.reasons), "")
+    say(f"{path}: {plain(report.verdict)}", *(f"  {s}" for s in reason_sentences(report.reasons)), "")
     say(*columns(list(slots(words))), "")
     if report.convention is None:
         _print_ladder(report)
@@ -162,7 +162,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     elif report.effects:
         say_table(("cause", *heads), share_rows(report.effects))
     if report.minor:
-        say_table(("below materiality, and in the model", *heads), share_rows(report.minor))
+        say_table(("in the model, but not named", *heads), share_rows(report.minor))
     say_notes(share_notes(report))
     if traces := trace_words(report):
         say(f"detected, but too small to be named: {', '.join(traces)}")
@@ -171,7 +171,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.next_experiment is not None:
         say(f"to decide, as a stage of a procedure (`fluxbench run --from {path}` measures it into a run itself):")
         say(stage_as_yaml(report.next_experiment.stage))
-    if report.verdict == "unknown_remains":
+    if report.verdict in ("unknown_remains", "mostly_explained"):
         say(f"`fluxbench discover {path}` looks for the law that is missing, and writes it as an effect.")
 
 

@@ -74,7 +74,7 @@ def _print(path: Path, found: Discovery, write: Path | None, given: Given) -> No
             for r in found.ranking[:RANKED_ROWS]
         ]
         say_table(("place", "over", "phase", "law", "log evidence", "of the error"), ranked)
-        say_notes(RANKING_NOTES)
+        say_notes((*RANKING_NOTES, *passed_over(found)))
     if found.outcome != "law":
         say(*next_steps(path, found))
         if write is not None:
@@ -91,6 +91,20 @@ def _print(path: Path, found: Discovery, write: Path | None, given: Given) -> No
         say(f"noise alone leaves {quantity(found.floor_rms_v, 'V')}")
     say_notes([f"picture: {results / 'discovery.svg'}"])
     say(next_command(path, found, write, given))
+
+
+def passed_over(found: Discovery) -> list[str]:
+    """Why the first row of the table is not the law that was found; nothing where it is."""
+    if found.outcome != "law" or not found.laws:
+        return []
+    law, first = found.laws[0], found.ranking[0]
+    if (first.place, first.quantity, first.phase) == (law.place, law.quantity, law.phase):
+        return []
+    chosen = f"{plain(law.place)} over {plain(law.quantity)}"
+    return [
+        f"the rows rank curves on a part of the recording. As formulas on the whole of it, {chosen} was kept: "
+        "it leaves less, or as much with fewer constants"
+    ]
 
 
 def next_command(path: Path, found: Discovery, write: Path | None, given: Given) -> str:
@@ -122,11 +136,23 @@ def next_steps(path: Path, found: Discovery) -> list[str]:
     if best is not None and best.share > 0.0:
         share = f"{100.0 * best.share:.0f} % of the error"
         where = f"over a wider range of {plain(best.quantity)}: {plain(best.place)} over it removes {share}, the most"
+        where += f"; {wider(best.quantity)}"
     return [
         f"to measure next: the same {where}; `fluxbench diagnose` of the new recording, then `discover` again",
         f"to try next: `fluxbench compare {run}` shows where the error is; `fluxbench new effect NAME` begins a law of "
         "your own",
     ]
+
+
+def wider(quantity: str) -> str:
+    """How a procedure measures a wider range of a quantity."""
+    if quantity in ("time", "heat"):
+        return "a longer stage does it, `{kind: resistance, duration_s: 60}`, or `anchor: true` on one before and after"
+    if quantity == "rotor_angle":
+        return "lock the rotor at a second angle and measure a second run"
+    if quantity == "link_voltage":
+        return "a second run at another bus voltage does it"
+    return "a larger `--set limits.current_a=...` does it, within what the motor bears"
 
 
 def _options(given: Given) -> str:

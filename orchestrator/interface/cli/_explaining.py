@@ -11,6 +11,7 @@ from orchestrator.formatting.explaining import (
     NEXT_STEPS,
     SEARCH_HEAD,
     basis_rows,
+    reason_sentences,
     search_legend,
     search_rows,
 )
@@ -20,6 +21,7 @@ from orchestrator.formatting.results import part_notes
 from orchestrator.formatting.search_summary import search_summary
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
+from orchestrator.recording import has_recording
 from protocols import Explanation
 
 
@@ -36,7 +38,7 @@ def explain(path: Path, steps: bool, as_json: bool) -> int:
 def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     run = shlex.quote(str(path))
     say(f"{path}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
-    say(*(f"  {reason.sentence}" for reason in explanation.reasons))
+    say(*(f"  {sentence}" for sentence in reason_sentences(explanation.reasons)))
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
     if explanation.model_changes:
@@ -57,7 +59,11 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     if explanation.effects:
         say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
-        say_notes((*part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+        say_notes((*explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
     if explanation.to_decide:
         say("", f"to decide: {explanation.to_decide}")
-    say(f"next: {NEXT_STEPS[explanation.verdict].format(run=run)}")
+    if has_recording(path):
+        say(f"next: {NEXT_STEPS[explanation.verdict].format(run=run)}")
+    else:
+        next_step = NEXT_STEPS[explanation.verdict].format(run="RECORDING")
+        say(f"next: {next_step}; RECORDING is that of {explanation.recording!r}, {path} has its results alone")

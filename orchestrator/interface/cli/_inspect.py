@@ -160,5 +160,5 @@ def _model(name: str) -> type[BaseModel]:
         "estimates": EstimationReport,
     }
     if name not in models:
-        raise InputError("schema", name, f"expected one of {', '.join(models)}, or `drive NAME`")
+        raise InputError("schema", name, suggestion(name, [*models, "drive NAME"]))
     return models[name]

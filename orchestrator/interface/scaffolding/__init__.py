@@ -6,13 +6,13 @@ The name is checked first, then all files or none are written, from templates/.
 from __future__ import annotations
 
 import keyword
-import re
 import shutil
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from orchestrator.registry.plugins import PluginKind, installed
+from orchestrator.registry.plugins import PLUGIN_NAME, PluginKind, installed
+from orchestrator.validation.messages import nearest
 from protocols import InputError, PluginError, StorageError
 
 KINDS = {
@@ -22,7 +22,6 @@ KINDS = {
     "effect": PluginKind.EFFECTS,
     "stream": PluginKind.STREAMS,
 }
-_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
 
 
 def write_package(kind: str, name: str, folder: Path) -> list[Path]:
@@ -52,10 +51,12 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
         It cannot be written to.
     """
     if kind not in KINDS:
-        raise PluginError("new", kind, f"no such kind of plugin; there are {', '.join(KINDS)}")
+        near = nearest(kind, KINDS)
+        hint = "" if near is None else f"; did you mean {near!r}?"
+        raise PluginError("new", kind, f"no such kind of plugin; there are {', '.join(KINDS)}{hint}")
     if len(name) > 80:  # files and folders get this name
         raise PluginError(kind, f"{name[:12]}...", "a name has at most 80 letters")
-    if not _NAME.match(name) or keyword.iskeyword(name):
+    if not PLUGIN_NAME.match(name) or keyword.iskeyword(name):
         raise PluginError(
             kind, name, "a name has lower-case letters, digits and underscores, and is no keyword of Python"
         )

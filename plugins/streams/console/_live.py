@@ -16,12 +16,20 @@ from rich.table import Table
 from rich.text import Text
 
 from orchestrator.formatting.events import describe
-from orchestrator.formatting.names import OUTCOME_MOODS, plain, slots
+from orchestrator.formatting.names import OUTCOME_MOODS, plain
 from orchestrator.formatting.quantities import vector
 from orchestrator.formatting.results import resistance
 from orchestrator.formatting.sentences import cut, one_line, visible
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import stage_ending, stage_title, step_bar, step_line, summary_rows, time_left
+from plugins.streams.console._words import (
+    diagnosis_rows,
+    stage_ending,
+    stage_title,
+    step_bar,
+    step_line,
+    summary_rows,
+    time_left,
+)
 from protocols import (
     Diagnosed,
     DiagnosisStep,
@@ -232,7 +240,7 @@ def _diagnosis(message: Diagnosed) -> RenderableType:
     sign, style = MARKS[event.mood]
     table = _two_columns()
     table.add_row(Text(sign + event.subject, style=style), Text(one_line(cut(event.text)), style=style))
-    for title, text in slots(message.words):
+    for title, text in diagnosis_rows(message):
         table.add_row("  " + title, Text(one_line(cut(text))))
     return table
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TextIO
 
 from orchestrator.formatting.events import describe
-from orchestrator.formatting.names import slots
 from orchestrator.formatting.quantities import plural, vector
 from orchestrator.formatting.sentences import columns, cut, for_output, one_line
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import stage_ending, stage_title, step_line, summary_rows, time_left
+from plugins.streams.console._words import diagnosis_rows, stage_ending, stage_title, step_line, summary_rows, time_left
 from protocols import (
     Diagnosed,
     DiagnosisStep,
@@ -86,7 +85,7 @@ class PlainView:
             case StateChanged() if message.target not in WORTH_A_LINE:
                 return []
         event = describe(message)
-        slot_lines = columns(list(slots(message.words))) if isinstance(message, Diagnosed) and message.words else []
+        slot_lines = columns(diagnosis_rows(message)) if isinstance(message, Diagnosed) else []
         return [] if event is None else [event.line, *slot_lines]
 
     def _progress_lines(self, progress: Progress) -> list[str]:

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from orchestrator.formatting.events import step_error_v
-from orchestrator.formatting.names import rung_name
+from orchestrator.formatting.names import rung_name, slots
 from orchestrator.formatting.quantities import UNKNOWN, duration, number, plural, quantity
-from orchestrator.formatting.results import check_rows, resistance
+from orchestrator.formatting.results import check_rows, effect_notes, resistance
 from orchestrator.formatting.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
-from protocols import DiagnosisStep, EstimationReport, RunEnded, Usability
+from protocols import Diagnosed, DiagnosisStep, EstimationReport, RunEnded, Usability
 
 
 def stage_title(progress: Progress, stage: StageProgress) -> str:
@@ -54,6 +54,13 @@ def step_bar(step: DiagnosisStep, cells: int, decades: float = 3.0) -> str:
     if step.noise_rms_v <= 0.0 or error <= step.noise_rms_v:
         return ""
     return "━" * max(1, min(cells, round(cells / decades * math.log10(error / step.noise_rms_v))))
+
+
+def diagnosis_rows(message: Diagnosed) -> list[tuple[str, str]]:
+    """A diagnosis in words, and what its effects remark on their sizes; nothing without words."""
+    if not message.words:
+        return []
+    return [*slots(message.words), *(("note", text) for text in effect_notes(message.report))]
 
 
 def summary_rows(message: RunEnded, run: Path, longest: int = 220) -> Iterator[tuple[str, str]]:

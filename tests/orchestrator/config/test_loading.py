@@ -509,3 +509,9 @@ def test_a_motor_file_in_the_place_of_a_procedure_is_named_as_one(tmp_path: Path
 
 def test_a_value_in_the_field_s_own_unit_needs_no_comment() -> None:
     assert read_procedure("demo", overrides=["limits.current_a=4.5 A"]).notes == ()
+
+
+def test_a_file_that_is_missing_is_reported_with_the_nearest_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("")
+    with pytest.raises(ProcedureError, match=r"No such file or directory; did you mean '.*/mine\.yaml'"):
+        load_procedure(str(tmp_path / "mines.yaml"))

@@ -77,6 +77,18 @@ def test_it_prints_where_the_law_is_its_form_and_the_fall_of_the_error(
     assert out.endswith("`fluxbench add runs/first mine --effects mine.py` adds it to the model\n")
 
 
+def test_a_first_row_that_is_not_the_law_has_its_reason(
+    found: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ranked = found["result"].ranking[0]
+    assert run_app(["discover", "runs/first"]) == 0
+    assert "was kept" not in capsys.readouterr().out
+    found["result"] = a_discovery(ranking=(ranked.model_copy(update={"quantity": "time"}), ranked))
+    assert run_app(["discover", "runs/first"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "As formulas on the whole of it, leg voltage over phase currents was kept: it leaves less" in out
+
+
 def test_without_write_it_says_how_to_write(found: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["discover", "runs/first"]) == 0
     assert "`fluxbench discover runs/first --write FILE.py` writes it as an effect." in capsys.readouterr().out
@@ -150,4 +162,5 @@ def test_without_a_law_it_says_what_to_measure_and_to_try(
     assert run_app(["discover", "first"]) == 0
     out = capsys.readouterr().out
     assert "to measure next: the same over a wider range of phase currents" in out
+    assert "a larger `--set limits.current_a=...` does it" in out
     assert "`fluxbench new effect NAME`" in out

@@ -7,12 +7,14 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import fluxbench
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.discovery import Learned, discover_laws, require_name, write_law
+from orchestrator.discovery.discover import decisive_index
 from orchestrator.discovery.search import SearchOutcome, learn_laws
 from orchestrator.interface.api import chosen_effects
 from orchestrator.recording import open_recording
@@ -161,3 +163,9 @@ def test_the_library_s_names_and_unknown_ones_are_refused_before_any_diagnosis(t
 def test_what_is_no_recording_is_refused_in_one_line() -> None:
     with pytest.raises(FluxbenchError, match="nowhere"):
         fluxbench.discover("nowhere")
+
+
+def test_forms_that_differ_by_less_than_their_size_is_known_are_not_to_be_decided() -> None:
+    x = np.linspace(0.0, 1.0, 11)
+    assert decisive_index(x, x + 0.01 * x**2, relative_error=0.02) is None
+    assert decisive_index(x, x + 0.1 * x**2, relative_error=0.02) == 10

@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
-from orchestrator.formatting.explaining import NEXT_STEPS, accuracy_sentences, search_legend, search_lines, search_rows
+from orchestrator.formatting.explaining import (
+    NEXT_STEPS,
+    accuracy_sentences,
+    reason_sentences,
+    search_legend,
+    search_lines,
+    search_rows,
+)
 from orchestrator.formatting.names import VERDICTS
+from protocols import Reason
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -66,3 +74,16 @@ def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:
 
 def test_each_verdict_has_a_next_step() -> None:
     assert NEXT_STEPS.keys() == VERDICTS.keys()
+
+
+def test_a_value_beside_two_limits_is_one_sentence() -> None:
+    sentences = [
+        "The fitted stages have chi2 2 per degree of freedom; explained allows up to 1.5.",
+        "60 % of the first error is left; explained allows up to 30 %.",
+        "The fitted stages have chi2 2 per degree of freedom; mostly explained allows up to 2.5.",
+        "No effect explains a part.",
+    ]
+    assert reason_sentences([Reason(quantity="x", value=1.0, limit=None, sentence=s) for s in sentences]) == [
+        f"{sentences[0].removesuffix('.')}, mostly explained allows up to 2.5.",
+        *sentences[1::2],
+    ]

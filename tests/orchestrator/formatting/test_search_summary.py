@@ -62,6 +62,8 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
          **chi2(1.0, 1.02)},
         {"move": "name", "effects": ("bus_sag",), "decision": "rejected", "measure": "share", "score": 0.02,
          "threshold": 0.05},
+        {"move": "name", "effects": ("dead_time",), "decision": "rejected", "measure": "share", "score": 0.64,
+         "threshold": 0.57, "note": "what is left could imitate it"},
         {"move": "finer_map", "decision": "rejected", **chi2(1.0, 0.99)},
     )  # fmt: skip
     assert lines == [
@@ -69,6 +71,8 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
         "3. dead time stays: without it chi2 is 80",
         "4. device drop in place of dead time: both do as well, chi2 1.02",
         "5. bus sag is in the model and no cause: 2 % of the first error, 5 % needed",
+        "6. dead time is in the model and no cause, although it is 64 % of the first error and 57 % are needed: "
+        "what is left could imitate it",
     ]
 
 

@@ -96,6 +96,7 @@ def phase_log(i_ab: Numbers, v_ab: Numbers) -> tuple[dict[str, Any], dict[str, A
         "time": {"column": "t", "unit": "s"},
         "current": {"frame": "abc", "columns": dict(PHASES), "unit": "A"},
         "voltage": {"frame": "abc", "columns": {"a": "va", "b": "vb", "c": "vc"}, "unit": "V"},
+        "rotor_angle": {"value": 0.0, "unit": "rad"},
         "segments": [{"stage": "resistance", "settings": {"current_d_a": 2.0}}],
     }
     return columns, mapping

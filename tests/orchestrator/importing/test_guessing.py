@@ -132,6 +132,21 @@ def test_each_line_says_why_and_what_to_look_at(tmp_path: Path) -> None:
     assert any(doubt.startswith("motor: not in the file") for doubt in guessed.doubts)
 
 
+@pytest.mark.parametrize("axes", ["UVW", "ABC", "rst"])
+def test_a_phase_is_no_unit_and_unused_columns_are_named(tmp_path: Path, axes: str) -> None:
+    names = [f"{quantity}_{axis}" for quantity in "IU" for axis in axes]
+    units = "s;mA;mA;mA;V;V;V;degC;-;-"
+    head = f"t;{';'.join(names)};temperature;rpm;counter\n{units}\n"
+    others = [np.full(SOME.t.size, 21.5), SOME.t, SOME.t]
+    guessed = guess_mapping(text(tmp_path / "log.csv", head, [SOME.t, *columns(SOME, 1e3), *others], ";"))
+    a, b, c = list(axes)
+    assert f"columns: {{a: I_{a}, b: I_{b}, c: I_{c}}}, unit: mA" in guessed.text
+    assert f"columns: {{a: U_{a}, b: U_{b}, c: U_{c}}}, unit: V" in guessed.text
+    assert "temperature: {column: temperature, unit: degC}" in guessed.text
+    assert "not used: rpm, counter" in guessed.doubts
+    assert "no rotor_angle in the mapping: 0 is assumed" in guessed.doubts
+
+
 def test_the_pwm_frequency_is_requested_with_what_it_is_good_for(tmp_path: Path) -> None:
     guessed = guess_mapping(german(tmp_path / "log.csv"))
     requested = "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too"

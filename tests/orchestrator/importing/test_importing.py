@@ -155,6 +155,17 @@ def test_the_angle_of_a_segment_goes_into_the_manifest_in_radians(bench: Bench) 
     assert segment.rotor_angle_rad == pytest.approx(np.pi / 2)
 
 
+@pytest.mark.parametrize(
+    ("unit", "reading", "message"),
+    [("K", 20.0, "20 K is -253 degC; degC would fit"), ("degC", 293.0, "293 degC is no winding's .*; K would fit")],
+)
+def test_a_temperature_in_the_wrong_unit_is_refused(bench: Bench, unit: str, reading: float, message: str) -> None:
+    bench.columns["Tw"] = np.full(len(bench.columns["t"]), reading)
+    bench.mapping |= {"temperature": {"column": "Tw", "unit": unit}}
+    with pytest.raises(InputError, match=f"Tw: {message}"):
+        bench.run()
+
+
 def test_a_bus_and_a_temperature_are_taken_over(bench: Bench) -> None:
     bench.columns |= {"udc": np.full(400, 0.55), "kelvin": np.full(400, 300.0)}
     bench.mapping |= {"bus": {"column": "udc", "unit": "kV"}, "temperature": {"column": "kelvin", "unit": "K"}}

@@ -27,6 +27,7 @@ def recorded(tmp_path: Path) -> Path:
                 i_ab=signals.i_ab,
                 v_ab=signals.v_ab,
                 v_dc=signals.v_dc,
+                temperature_c=signals.temperature_c,
             )
         )
         file = writer.finish()
@@ -78,3 +79,34 @@ def test_the_effect_corrects_the_copy_to_the_original(recorded: Path) -> None:
 def test_an_effect_of_the_rotor_s_angle_is_refused(recorded: Path) -> None:
     with pytest.raises(InputError, match="it changes theta_rad, which no recorded reading shows"):
         recording_with(recorded, RotorMisalignment(), recorded.with_name("copy"), angle_rad=0.03)
+
+
+class WarmBias(VoltageBias):
+    """An effect by what a recording logs and by what happened before, else none."""
+
+    def correct(self, signals: Signals, p: VoltageBias.Parameters) -> Correction:
+        if signals.temperature_c is None or signals.start_temperature_c is None or signals.losses is None:
+            return Correction()
+        warmer = (signals.temperature_c - signals.start_temperature_c)[:, None]
+        return Correction(v_ab=signals.v_ab - warmer * [p.bias_a_v, 0.0])
+
+
+def test_an_effect_reads_what_the_recording_logs_and_what_was_before(recorded: Path) -> None:
+    before, after = hidden(recorded, WarmBias(), bias_a_v=0.3, bias_b_v=0.0)
+    assert before.temperature_c is not None
+    warmer = before.temperature_c - before.temperature_c[0]
+    np.testing.assert_allclose((after.v_ab - before.v_ab)[:, 0], 0.3 * warmer, atol=1e-5)
+
+
+class OfFlux(VoltageBias):
+    """An effect of the flux, which no reading shows."""
+
+    def correct(self, signals: Signals, p: VoltageBias.Parameters) -> Correction:
+        return Correction() if signals.psi_ab is None else Correction(v_ab=signals.v_ab - p.bias_a_v)
+
+
+def test_an_effect_that_changes_nothing_is_refused_and_nothing_is_written(recorded: Path) -> None:
+    copy = recorded.with_name("copy")
+    with pytest.raises(InputError, match=r"changes nothing in this recording \(i_abc, inductance_ab and psi_ab"):
+        recording_with(recorded, OfFlux(), copy, bias_a_v=0.3)
+    assert not copy.exists()

@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.tuning.benefits import ripple_of
 from orchestrator.tuning.tuning_report import TuningReport
-from orchestrator.tuning.words import figure_rows, file_rows
+from orchestrator.tuning.words import figure_rows, file_rows, notes
 
 
 def a_report(**changed: object) -> TuningReport:
@@ -71,3 +71,11 @@ def test_the_ripple_of_a_wave_is_what_its_fundamental_leaves() -> None:
     angle = 2.0 * math.pi * np.arange(360) / 360.0
     wave = 2.0 * np.cos(angle + 0.3) + 0.01 * np.cos(5.0 * angle)
     assert ripple_of(wave) == pytest.approx(0.01 * np.cos(5.0 * angle), abs=1e-12)
+
+
+def test_what_is_compensated_in_part_is_not_listed_as_left_out() -> None:
+    left = {"dead_time": "it is compensated in part: leg b's loss is larger", "bus_sag": "it is measured"}
+    lines = notes(a_report(compensated=("dead_time",), left_out=left, remarks=()))
+    assert lines == [
+        "dead time: it is compensated in part: leg b's loss is larger", "not compensated: bus sag, it is measured",
+    ]  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -168,6 +169,15 @@ def test_what_the_blocks_want_of_noise_alone_is_nothing() -> None:
         fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
         beyond.append(scatter_beyond_noise(fit))
     assert float(np.mean(beyond)) < 2.0
+
+
+def test_a_block_that_knows_nearly_nothing_hardly_counts() -> None:
+    """The recording's end holds a segment without information on the effect, whose own estimate is arbitrary."""
+    maker = fitter(with_voltage(prepared(plan()), np.array([0.2, 0.0])))
+    fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
+    ignorant = [1e-9 * d if k == len(fit.columns) - 1 else d for k, d in enumerate(fit.columns)]
+    blind = replace(fit, linearisation=fit.linearisation, columns=ignorant)
+    assert block_scatter(blind).max() < 2.0 * block_scatter(fit).max() + 0.01
 
 
 def scatter_beyond_noise(fit: Fit) -> float:

@@ -174,6 +174,7 @@ def test_an_effect_that_returns_no_correction_is_named(
     [
         (('name = "mine"', 'name = "dead_time"'), "dead_time: an effect of that name exists already"),
         (('name = "mine"', 'name = "saturation"'), "saturation: an effect of that name exists already"),
+        (('name = "mine"', 'name = "my-own"'), "my-own: a name has lower-case letters, digits and underscores"),
         (("typical=0.15", "typical=0.0"), "Mine.Parameters.offset_v: typical 0"),
         (('"V"', '"kV"'), "Mine.Parameters.offset_v: unit 'kV' cannot be scaled to a machine; expected a product"),
         (
@@ -202,6 +203,23 @@ def test_a_recording_that_cannot_be_a_motor_s_is_refused(
     assert "times the rated current" in refused(capsys, 2, command, copy)
     assert not (copy / "results").exists()
     assert not (copy / "model.json").exists()
+
+
+def test_an_own_effect_in_the_model_already_may_have_another_file_now(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="return Correction()"))
+    model = json.loads((kept / "model.json").read_text())
+    voltage = {"value": 0.8, "low": 0.7993, "high": 0.801, "unit": "V", "fitted": True}
+    model["effects"] = [
+        {"name": "mine", "parameters": {"offset_v": voltage}, "relative_size": 0.14, "log_evidence": 9.0}
+    ]
+    (kept / "model.json").write_text(json.dumps(model))
+    monkeypatch.setattr("orchestrator.diagnosis._refit.open_for_refit", None)  # a refit would fail
+    assert run_app(["add", str(DATA), "mine", "--effects", str(mine), "--out", str(kept)]) == 0
+    out = capsys.readouterr().out
+    assert "file has changed since: `fluxbench remove` it first, then `add` fits it again" in " ".join(out.split())
 
 
 def test_what_is_in_the_model_already_is_said_without_a_refit(

@@ -11,7 +11,7 @@ from orchestrator.diagnosis import judge, save_diagnosis
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
-from protocols import DiagnosisReport
+from protocols import DiagnosisReport, Remark
 from tests.orchestrator.diagnosis.judgement.test_judge import a_record
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 
@@ -30,6 +30,7 @@ def a_report() -> DiagnosisReport:
 @pytest.fixture
 def diagnosed(tmp_path: Path) -> Path:
     save_diagnosis(tmp_path, a_report(), WORDS, ())
+    (tmp_path / "run.json").write_text("{}")
     return tmp_path
 
 
@@ -69,6 +70,19 @@ def test_a_share_above_the_whole_error_is_explained_below_the_table(
     save_diagnosis(tmp_path, a_report().model_copy(update={"effects": (effect,)}), WORDS, ())
     assert run_app(["explain", str(tmp_path)]) == 0
     assert "note: above 100 % of the error: without this effect" in capsys.readouterr().out
+
+
+def test_what_an_effect_remarks_is_told_and_a_folder_of_results_names_the_recording(
+    diagnosed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    remark = Remark.of("leg_differs", "leg b's is 33 % longer").by("dead_time")
+    save_diagnosis(diagnosed, a_report().model_copy(update={"remarks": (remark,)}), WORDS, ())
+    (diagnosed / "run.json").unlink()
+    assert run_app(["explain", str(diagnosed)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "note: dead_time: leg b's is 33 % longer" in out
+    assert "next: `fluxbench export RECORDING` and" in out
+    assert f"RECORDING is that of {a_report().recording!r}" in out
 
 
 def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -117,6 +117,8 @@ def test_the_name_of_an_installed_plugin_is_refused(tmp_path: Path) -> None:
 def test_a_kind_that_there_is_not_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match="there are drive, stage, estimator, effect, stream"):
         write_package("motor", "mine", tmp_path / "new")
+    with pytest.raises(PluginError, match="did you mean 'effect'"):
+        write_package("efect", "mine", tmp_path / "new")
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:

@@ -153,6 +153,16 @@ def test_a_message_without_arrays_is_whole() -> None:
     assert without_arrays(DIAGNOSED) == DIAGNOSED.model_dump(mode="json")
 
 
+@pytest.mark.parametrize("mode", ["plain", "live"])
+def test_what_an_effect_remarks_is_below_the_diagnosis(
+    mode: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    report = a_diagnosis()
+    remark = Remark(code="leg_differs", text="leg b's is longer").by(report.effects[0].name)
+    message = Diagnosed(round=0, report=report.model_copy(update={"remarks": (remark,)}), words=WORDS)
+    assert "leg b's is longer" in printed(monkeypatch, tmp_path, [message], mode)
+
+
 def test_a_report_that_says_little_is_reported_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     bare = a_comparison().model_copy(
         update={"chi2": None, "rms_v": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)}
