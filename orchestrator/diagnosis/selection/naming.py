@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Library, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.judgement.contributions import contributions, is_material
+from orchestrator.diagnosis.judgement.contributions import Contribution, contributions, is_material
 from orchestrator.diagnosis.judgement.intervals import (
     INTERVAL_SIGMAS,
     block_scatter_ratio,
@@ -49,18 +49,24 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     limit = _imitable_share(first, whole)
     below = tuple(n for n in names if n in sizes and sizes[n].relative_to_error <= limit)
     for name in below:
-        state.fitter.trace.record(
-            "name",
-            [name],
-            after=whole,
-            measure="share",
-            score=sizes[name].relative_to_error,
-            threshold=limit,
-            taken=False,
-            note=IMITABLE,
-        )
+        _record_name(state, name, sizes[name], limit, taken=False, note=IMITABLE)
     causes = [n for n in names if n not in below]
     return SearchResult(_rungs(state, steps, causes, gains), *_beside(state), view=state.view, below_materiality=below)
+
+
+def _record_name(
+    state: SearchState, name: str, size: Contribution, least_share: float, *, taken: bool, note: str
+) -> None:
+    state.fitter.trace.record(
+        "name",
+        [name],
+        after=state.fit,
+        measure="share",
+        score=size.relative_to_error,
+        threshold=least_share,
+        taken=taken,
+        note=note,
+    )
 
 
 def _imitable_share(first: Fit, whole: Fit) -> float:
@@ -87,16 +93,7 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     clear = [n for n in order if n not in notes]
     causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)]
     for name in order:
-        state.fitter.trace.record(
-            "name",
-            [name],
-            after=whole,
-            measure="share",
-            score=sizes[name].relative_to_error,
-            threshold=min_share,
-            taken=name in causes,
-            note=notes.get(name, ""),
-        )
+        _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
     below = tuple(n for n in order if n not in causes)
     rungs = _rungs(state, steps, causes, factors)
     return SearchResult(rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes)
