@@ -24,7 +24,7 @@ from orchestrator.diagnosis.fitting.model import (
     SegmentLinearisation,
     SegmentRows,
 )
-from orchestrator.diagnosis.nuisances.carrier_ripple import carrier_ripple_voltage
+from orchestrator.diagnosis.nuisances.carrier_ripple import CarrierRipple
 from orchestrator.diagnosis.nuisances.pwm_quantiser import dwells, scatter_sizes, scatter_units
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import (
@@ -64,6 +64,8 @@ class BatchState:
     linearisation: BatchLinearisation
     cascade: Cascade
     local: LocalMap
+    coefficients: Array
+    """Those of the model's co-energy."""
 
     @property
     def batch(self) -> SegmentBatch:
@@ -90,7 +92,7 @@ class WeakFormEquations:
 
         Both need only one pass of the signals through the effects.
         """
-        linearisation = self._without_flux(model, batch)
+        linearisation, ripple = self._without_flux(model, batch)
         base = linearisation.base
         # Sensor lag and skin effect use the current without noise: the earlier one, else that of the present flux.
         if old is not None:
@@ -103,7 +105,12 @@ class WeakFormEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(batch, cascade.corrected, model.magnetics)
         raw = self._untouched_basis(batch, local, model) if same else basis(batch, local, model.magnetics)
-        noises = self._noises(BatchState(linearisation, cascade, local), model, old)
+        bent = [
+            None if one is None else one.bent(piece.windows, model.space.grid)
+            for piece, one in zip(batch.pieces, ripple, strict=True)
+        ]
+        raw = [one if other is None else one + other for one, other in zip(raw, bent, strict=True)]
+        noises = self._noises(BatchState(linearisation, cascade, local, model.magnetics.coefficients), model, old)
         pieces = []
         for j, (whitener, mean, noise_parameters) in enumerate(noises):
             before = None if old is None else old.pieces[j]
@@ -111,13 +118,14 @@ class WeakFormEquations:
                 white = before.white_basis
             else:
                 white = whitener(raw[j] if model.space.is_free else raw[j] @ model.space.directions)
-            pieces.append(SegmentLinearisation(whitener, raw[j], white, mean, noise_parameters))
-        return BatchState(replace(linearisation, pieces=tuple(pieces)), cascade, local)
+            pieces.append(SegmentLinearisation(whitener, raw[j], bent[j], white, mean, noise_parameters))
+        return BatchState(replace(linearisation, pieces=tuple(pieces)), cascade, local, model.magnetics.coefficients)
 
     def at(self, model: Model, linearisation: BatchLinearisation) -> BatchState:
         """A batch evaluated at the model with an earlier linearisation."""
         cascade = Cascade.of(linearisation.base, model.active)
-        return BatchState(linearisation, cascade, local_map(linearisation.batch, cascade.corrected, model.magnetics))
+        local = local_map(linearisation.batch, cascade.corrected, model.magnetics)
+        return BatchState(linearisation, cascade, local, model.magnetics.coefficients)
 
     def common(self, model: Model, linearisation: BatchLinearisation) -> list[Array]:
         """Whitened `_common_rows` of each segment."""
@@ -125,16 +133,18 @@ class WeakFormEquations:
         slopes = self._slopes(linearisation.batch, linearisation.base, model)
         return [cached.whitener(self._common_rows(state, j, slopes)) for j, cached in enumerate(linearisation.pieces)]
 
-    def _without_flux(self, model: Model, batch: SegmentBatch) -> BatchLinearisation:
-        """The measured signals with the model's resistance, its copper losses and the ripple within a period."""
+    def _without_flux(self, model: Model, batch: SegmentBatch) -> tuple[BatchLinearisation, list[CarrierRipple | None]]:
+        """The measured signals with the model's resistance, its copper losses and damped ripple; each one's ripple."""
         plain = BatchLinearisation.of(batch, model.r_s)
         if not self.ripples:
-            return plain
+            return plain, [None] * len(batch.pieces)
         base = plain.base
-        taken = [
-            carrier_ripple_voltage(piece, base.segment(j), model.magnetics) for j, piece in enumerate(batch.pieces)
-        ]
-        return plain.with_changed({"v_ab": base.v_ab + np.concatenate(taken)})
+        ripple = [CarrierRipple.of(p, base.segment(j), model.magnetics) for j, p in enumerate(batch.pieces)]
+        v_ab = base.v_ab.copy()
+        for j, one in enumerate(ripple):
+            if one is not None:
+                v_ab[base.slice_of(j)] += one.damped
+        return plain.with_changed({"v_ab": v_ab}), ripple
 
     def _noises(
         self, state: BatchState, model: Model, old: BatchLinearisation | None
@@ -343,6 +353,9 @@ class WeakFormEquations:
         in_parts = corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s})
         voltage, resistance = voltage_and_resistance(at.batch, in_parts, at.local, self.pm_flux_wb)
         known = voltage + flux_terms(at.batch, at.local)
+        for j, cached in enumerate(at.linearisation.pieces):
+            if cached.bent is not None:
+                known[at.batch.rows_of(j)] += cached.bent @ at.coefficients
         out[:, 0], out[:, 1] = known, resistance
         rows = []
         for j, cached in enumerate(at.linearisation.pieces):

@@ -80,6 +80,8 @@ class SegmentLinearisation:
 
     whitener: Whitener
     basis: Array
+    bent: Array | None
+    """The carrier ripple's part of the basis; None without."""
     white_basis: Array
     """Whitened basis projected on the map's free directions."""
     mean_inductance: Array

@@ -15,13 +15,19 @@ doi:10.1109/9780470546284. The rest integrates a circuit whose inductance is nea
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import SegmentData
+from orchestrator.diagnosis.weak_form.windows import Windows
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import phases_of, vector_of
+from orchestrator.numerics.tensor_spline import CARDINAL, EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
@@ -29,37 +35,63 @@ MIN_INDUCTANCE_RATIO = 0.1
 """Smallest plausible inductance relative to the nameplate's: saturated iron still leaves the slot leakage."""
 
 
-def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magnetics) -> Array:
-    """Voltage to add to a segment's, as a correction for the linear interpolation of the current.
+@dataclass(frozen=True)
+class CarrierRipple:
+    """What the ripple within a carrier period takes of a segment's voltage, at a model.
 
-    Parameters
+    Attributes
     ----------
-    signals : Signals
-        Signals with the impressed voltage and the resistance.
-
-    Returns
-    -------
-    array, shape (n, 2)
-        Voltage in the stator frame [V].
+    damped : array, shape (n, 2)
+        Voltage to add in the stator frame, the first term above [V].
+    i_dq : array, shape (n, 2)
+        Current in the believed rotor frame [A].
+    square : array, shape (n, 3)
+        Mean squares and product of the ripple current along d and q: dd, dq, qq [A^2].
+    gain : array, shape (n, 3)
+        R_s L^-1, symmetric: dd, dq, qq [1/s].
+    interval_s : float
+        Sampling interval [s].
     """
-    v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
-    if not signals.bridge_on:
-        return np.zeros_like(v_ab)
-    angle = float(piece.segment.rotor_angle_rad)
-    v_dc, period_s = np.ascontiguousarray(signals.v_dc, dtype=np.float64), 1.0 / signals.pwm_frequency_hz
-    moment, spread = _ripple(v_ab, v_dc, period_s)
-    ohm, i_dq = np.asarray(signals.resistance_ohm)[:, None], to_dq(signals.i_ab, angle)
-    psi, inductance = magnetics.flux_and_inductance(i_dq)
-    inductance = _believable(inductance, signals)
-    damped = ohm * _through(inductance, _through(inductance, to_dq(moment, angle)))
-    bent = np.zeros_like(psi)
-    for axis in range(2):
-        x = _through(inductance, to_dq(spread[axis], angle))
-        ahead, behind = (magnetics.flux_and_inductance(i_dq + side * x)[0] for side in (1.0, -1.0))
-        bend = 0.5 * _through(inductance, ahead + behind - 2.0 * psi)
-        # A map under trial may be too curved: its term is limited to the ripple itself.
-        bent += np.clip(bend, -np.abs(x), np.abs(x))
-    return np.ascontiguousarray(to_ab(ohm * (damped + bent), angle))
+
+    damped: Array
+    i_dq: Array
+    square: Array
+    gain: Array
+    interval_s: float
+
+    @classmethod
+    def of(cls, piece: SegmentData, signals: Signals, magnetics: Magnetics) -> CarrierRipple | None:
+        """The ripple of a segment's signals, which have the impressed voltage and R_s; None where no bridge switches.
+
+        The inductance is the map's, frozen; `bent` is then linear in the map's coefficients.
+        """
+        if not signals.bridge_on:
+            return None
+        v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        angle = float(piece.segment.rotor_angle_rad)
+        v_dc, period_s = np.ascontiguousarray(signals.v_dc, dtype=np.float64), 1.0 / signals.pwm_frequency_hz
+        moment, spread = _ripple(v_ab, v_dc, period_s)
+        i_dq = to_dq(signals.i_ab, angle)
+        inductance = _believable(magnetics.flux_and_inductance(i_dq)[1], signals)
+        ohm = np.asarray(signals.resistance_ohm)[:, None]
+        damped = ohm * ohm * _through(inductance, _through(inductance, to_dq(moment, angle)))
+        along = np.stack([_through(inductance, to_dq(one, angle)) for one in spread])
+        square = np.stack([along[..., a] * along[..., b] for a, b in AXES], axis=-1).sum(axis=0)
+        dd, dq, qq = inductance.T
+        gain = ohm * np.stack([qq, -dq, dd], axis=1) / (dd * qq - dq * dq)[:, None]
+        return cls(to_ab(damped, angle), i_dq, square, gain, 1.0 / signals.sampling_frequency_hz)
+
+    def bent(self, windows: Windows, grid: EvenSpline) -> Array:
+        """Columns for the coefficients of the co-energy by the second term above, shape (rows, coefficients)."""
+        (numbers, counts), w = grid.layout, windows
+        gain = self.interval_s * self.gain
+        shape = (w.test_functions, w.n_bins, 2, grid.size)
+        sums = _sum_bent(self.i_dq, self.square, gain, w.step, w.bins, shape, numbers, counts, CARDINAL, grid.kinked)
+        return w.combine(sums)
+
+
+AXES = (0, 0), (0, 1), (1, 1)
+"""Axes of the three numbers of a symmetric matrix."""
 
 
 def _believable(inductance: Array, signals: Signals) -> Array:
@@ -83,6 +115,71 @@ def _through(inductance: Array, flux: Array) -> Array:
     d, q = flux.T
     det = dd * qq - dq * dq
     return np.stack([(qq * d - dq * q) / det, (dd * q - dq * d) / det], axis=1)
+
+
+@njit(cache=True, nogil=True)
+def _sum_bent(
+    i_dq: Array,
+    square: Array,
+    gain: Array,
+    step: float,
+    bins: NDArray[np.int64],
+    shape: tuple[int, int, int, int],
+    numbers: Array,
+    counts: NDArray[np.int64],
+    pieces: Array,
+    kinked: Array,
+) -> Array:
+    """Weighted sums of gain . 1/2 (square : d^2/di^2) psi per coefficient, shape as `sum_basis`; none beyond the map.
+
+    The third derivatives of the co-energy take the place of the ripple's second difference, which spans little of a
+    cell.
+    """
+    out = np.zeros(shape)
+    nq = shape[3] // (counts[0] + 5)
+    x, y = np.empty((4, 6)), np.empty((4, 7))
+    for k in range(i_dq.shape[0] - 1):
+        u = (0.5 * (i_dq[k, 0] + i_dq[k + 1, 0]) - numbers[0]) / numbers[1]
+        v = (0.5 * (i_dq[k, 1] + i_dq[k + 1, 1]) - numbers[2]) / numbers[3]
+        m, n = math.floor(u), math.floor(v)
+        if m < 0 or n < 0 or m >= counts[0] or n >= counts[1]:
+            continue
+        _derivatives(pieces, u - m, numbers[1], x)
+        _derivatives(pieces, v - n, numbers[3], y)
+        functions = 6
+        if kinked.shape[0] > 0 and kinked[n].any():
+            functions = 7
+            _derivatives(kinked[n : n + 1], v - n, numbers[3], y[:, 6:])
+        place = (k + 0.5) / step
+        before, b = math.floor(place), bins[k]
+        s_dd, s_dq, s_qq = 0.5 * square[k, 0], square[k, 1], 0.5 * square[k, 2]
+        for side in range(2):
+            function = before - 1 + side
+            if not 0 <= function < shape[0]:
+                continue
+            weight = place - before if side == 1 else 1.0 - (place - before)
+            g_dd, g_dq, g_qq = weight * gain[k, 0], weight * gain[k, 1], weight * gain[k, 2]
+            for r in range(6):
+                for s in range(functions):
+                    d = s_dd * x[3, r] * y[0, s] + s_dq * x[2, r] * y[1, s] + s_qq * x[1, r] * y[2, s]
+                    q = s_dd * x[2, r] * y[1, s] + s_dq * x[1, r] * y[2, s] + s_qq * x[0, r] * y[3, s]
+                    col = (m + r) * nq + (counts[2 + n + s] if s < 6 else nq - 1)
+                    out[function, b, 0, col] += g_dd * d + g_dq * q
+                    out[function, b, 1, col] += g_dq * d + g_qq * q
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _derivatives(pieces: Array, t: float, cell: float, out: Array) -> None:
+    """Each polynomial at t, and its first three derivatives by t times the cell's side."""
+    for r in range(pieces.shape[0]):
+        value, first, second, third = 0.0, 0.0, 0.0, 0.0
+        for p in range(5, -1, -1):
+            third = third * t + 3.0 * second
+            second = second * t + 2.0 * first
+            first = first * t + value
+            value = value * t + pieces[r, p]
+        out[0, r], out[1, r], out[2, r], out[3, r] = value, first / cell, second / cell**2, third / cell**3
 
 
 @njit(cache=True, nogil=True)
