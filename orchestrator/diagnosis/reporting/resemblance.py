@@ -46,9 +46,9 @@ class Alternative:
 
     @property
     def is_tied(self) -> bool:
-        """Whether both fit equally well."""
+        """Whether neither is certain against the other, as an effect has to be against none."""
         lesser, better = (self.fit, self.in_place) if self.gain > 0.0 else (self.in_place, self.fit)
-        return abs(self.gain) < self.fit.criteria.selection.tie or fits_as_well(lesser, better)
+        return abs(self.gain) < self.fit.criteria.selection.log_evidence or fits_as_well(lesser, better)
 
     @property
     def sigmas(self) -> float:
