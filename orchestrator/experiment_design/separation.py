@@ -1,7 +1,8 @@
 """The separation of two effects by a stage before it is measured, as the fitted model predicts it.
 
-The fitted effect causes an error a in the whitened equations of a stage. The other effect is refitted to that error,
-together with R_s, the map and all other free parameters, to first order. The remainder is the separation,
+With the fitted effect in place of another one that imitates it, the whitened equations of a stage change by a. The
+other effect is refitted to that change, together with R_s, the map and all other free parameters, to first order. The
+remainder is the separation,
 
     chi2 = min over x of |a - W x|^2 + priors,
 
@@ -48,19 +49,16 @@ class ConfoundedPair:
     ----------
     model : Model
         With the second effect in place of the first, at the amplitude that imitates it.
-    absent : EffectTerm
-        The first effect, its amplitudes neutral and its shape as fitted.
-    coordinates : array
-        Standardised values of the first effect's amplitudes.
+    first : Model
+        With the first effect, the rest alike.
     known : array
-        Normal matrix of all columns over the recording.
+        Normal matrix over the recording, as of `_normal`.
     answering : dict
         The effects that respond to each column of the recording's fit; to other columns all respond.
     """
 
     model: Model
-    absent: EffectTerm
-    coordinates: Array
+    first: Model
     known: Array
     answering: Mapping[ColumnName, frozenset[str]]
 
@@ -81,25 +79,22 @@ def confounded_pair(
         return None
     # The second takes the first's place, and may respond where the first did.
     answering = {column: effects | {second.name} for column, effects in fit.responses.of.items()}
-    neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
-    absent = EffectTerm(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
-    coordinates = np.array([first.standardised_value(n) for n in first.candidate.amplitudes])
-    others = model.with_active([a for a in model.active if a.name != first.name])
+    others = [a for a in model.active if a.name != first.name]
+    with_first = model.with_active([*others, first])
     pieces = setup.part_fitter.prepared.pieces
     few = pieces[:: max(1, math.ceil(len(pieces) / MAX_SEGMENTS))]
     fitter = replace(setup.part_fitter, prepared=replace(setup.part_fitter.prepared, pieces=few))
-    trial = ConfoundedPair(others, absent, coordinates, np.zeros((0, 0)), answering)
+    trial = ConfoundedPair(model.with_active(others), with_first, np.zeros((0, 0)), answering)
     rival = second.absent()
     normal = _normal(fitter, trial, few, [(rival, n) for n in second.amplitudes])
     # The second effect's amplitudes that come nearest to the first effect.
-    inner, across = normal[: -len(coordinates), : -len(coordinates)], normal[: -len(coordinates), -len(coordinates) :]
-    amplitudes = np.linalg.solve(inner, across @ coordinates)[-len(second.amplitudes) :]
+    amplitudes = np.linalg.solve(normal[:-1, :-1], normal[:-1, -1])[-len(second.amplitudes) :]
     for name, x in zip(second.amplitudes, amplitudes, strict=True):
         rival = rival.moved(name, float(x))
     if rival.is_absent:
         return None
     rival = rival.release(*second.of_role(ParameterRole.SHAPE))
-    both = replace(trial, model=others.with_active([*others.active, rival]))
+    both = replace(trial, model=model.with_active([*others, rival]))
     return replace(both, known=_normal(fitter, both, few))
 
 
@@ -108,7 +103,7 @@ def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any
     more = np.zeros_like(pair.known)
     for piece, weight in planned_pieces(setup, pair.model, stage):
         more += weight * _normal(_as_one_segment(setup.fitter, weight), pair, [piece], with_prior=False)
-    return _remaining_chi2(pair.known + more, pair.coordinates) - _remaining_chi2(pair.known, pair.coordinates)
+    return _remaining_chi2(pair.known + more) - _remaining_chi2(pair.known)
 
 
 def _as_one_segment(fitter: Fitter, weight: float) -> Fitter:
@@ -130,30 +125,32 @@ def _normal(
     *,
     with_prior: bool = True,
 ) -> Array:
-    """W^T W of R_s, the map, the model's free parameters, `more`, and last the first effect's amplitudes."""
+    """W^T W of R_s, the map, the model's free parameters, `more`, and last the change from the model to the first."""
     space, model = pair.model.space, pair.model
-    wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
+    wanted = [*model.free, *more]
     responding = pair.responding(wanted)
     equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb)
     width = 1 + space.directions.shape[1]
-    total = np.zeros((width + len(wanted), width + len(wanted)))
+    total = np.zeros((width + len(wanted) + 1, width + len(wanted) + 1))
     for batch in in_batches(pieces).others:
         state = equations.relinearise(model, batch, None)
-        for rows_of, kept in zip(equations.rows(state, wanted, responding), state.linearisation.pieces, strict=True):
-            rows = np.column_stack([rows_of.white[:, 1], kept.white_basis, rows_of.white[:, 2:]])
+        swapped = equations.rows(equations.at(pair.first, state.linearisation))
+        for rows_of, with_first, kept in zip(
+            equations.rows(state, wanted, responding), swapped, state.linearisation.pieces, strict=True
+        ):
+            change = (with_first.white[:, :2] - rows_of.white[:, :2]) @ np.array([1.0, model.r_s])
+            rows = np.column_stack([rows_of.white[:, 1], kept.white_basis, rows_of.white[:, 2:], change])
             total += rows.T @ rows
     if with_prior:
         total[1:width, 1:width] += space.prior.T @ space.prior
-        free = np.arange(width, width + len(wanted) - len(pair.coordinates))
+        free = np.arange(width, width + len(wanted))
         total[free, free] += 1.0
     return total
 
 
-def _remaining_chi2(normal: Array, coordinates: Array) -> float:
-    imitated = len(coordinates)
-    inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
-    rest = normal[-imitated:, -imitated:] - across.T @ np.linalg.solve(inner, across)
-    return float(coordinates @ rest @ coordinates)
+def _remaining_chi2(normal: Array) -> float:
+    across = normal[:-1, -1]
+    return float(normal[-1, -1] - across @ np.linalg.solve(normal[:-1, :-1], across))
 
 
 def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentData, float]]:

@@ -114,12 +114,19 @@ def _led(i_ab: Array, smooth_ab: Array, starts: Starts, samples: Array) -> Array
             for k in range(first, end):
                 low, high = min(low, i_ab[k, axis]), max(high, i_ab[k, axis])
             span = high - low
-            before, late = 0.0, 0.0
-            for k in range(first, end):
-                read = i_ab[k, axis]
-                near = min(max(smooth_ab[k, axis], read - span), read + span)
-                if k > first:
-                    late = stays * late + moves * (near - before)
-                out[k, axis] = read + late
+            # The current came to the first sample as it leaves it.
+            second = min(first + 1, end - 1)
+            before = _within(smooth_ab[first, axis], i_ab[first, axis], span)
+            late = samples[s] * (_within(smooth_ab[second, axis], i_ab[second, axis], span) - before)
+            out[first, axis] = i_ab[first, axis] + late
+            for k in range(first + 1, end):
+                near = _within(smooth_ab[k, axis], i_ab[k, axis], span)
+                late = stays * late + moves * (near - before)
+                out[k, axis] = i_ab[k, axis] + late
                 before = near
     return out
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _within(x: float, middle: float, span: float) -> float:
+    return min(max(x, middle - span), middle + span)

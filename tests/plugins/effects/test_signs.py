@@ -259,7 +259,7 @@ def test_sensor_lag_of_any_length_is_undone_where_the_true_course_is_known(sampl
     signals, fine = readings(), 500
     true = np.stack([0.5 * np.abs(np.arange(400) % 20 - 10.0), np.zeros(400)], axis=1)
     read = true.copy()
-    reading = float(true[0, 0])
+    read[0, 0] = reading = float(true[0, 0] - samples * (true[1, 0] - true[0, 0]))
     for k in range(1, 400):
         for x in true[k - 1, 0] + (true[k, 0] - true[k - 1, 0]) * (np.arange(fine) + 0.5) / fine:
             reading += (x - reading) / (samples * fine)
