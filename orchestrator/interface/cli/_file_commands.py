@@ -229,15 +229,17 @@ def procedures_command(
 @commands.command("effects", epilog="Example: fluxbench effects")
 def effects_command(
     name: Annotated[str | None, typer.Argument(help="Describe this effect alone.", metavar="[EFFECT]")] = None,
+    effects: EffectsOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """List the physical effects of the library, or describe one.
 
-    With EFFECT: what it is, how it shows, its parameters, and what to do at the bench.
+    With EFFECT: what it is, how it shows, its parameters, and what to do at the bench. With --effects, those of that
+    file too.
     """
-    from orchestrator.interface.cli._inspect import effects
+    from orchestrator.interface.cli import _inspect
 
-    return effects(name, as_json)
+    return _inspect.effects(name, effects, as_json)
 
 
 @commands.command("schema", epilog="Example: fluxbench schema motor --table")
