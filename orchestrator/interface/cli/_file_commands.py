@@ -49,7 +49,14 @@ def tune_command(
         float | None, typer.Option(help="Largest speed, mechanical [1/min]; by default the rated one.")
     ] = None,
     sampling_hz: Annotated[
-        float | None, typer.Option(help="Frequency of the current control [Hz]; by default the PWM's.")
+        float | None,
+        typer.Option(
+            help="Frequency of the current control [Hz], twice the PWM's with a double update; by default the PWM's."
+        ),
+    ] = None,
+    pwm_hz: Annotated[
+        float | None,
+        typer.Option(help="PWM frequency, which the inverter's loss follows [Hz]; by default the recording's."),
     ] = None,
     magnet_percent_per_k: Annotated[
         float | None,
@@ -66,7 +73,9 @@ def tune_command(
     """
     from orchestrator.interface.cli._tuning import tune
 
-    return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, magnet_percent_per_k, effects, as_json)
+    return tune(
+        path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, pwm_hz, magnet_percent_per_k, effects, as_json
+    )
 
 
 @commands.command("audit", epilog="Example: fluxbench audit runs/first")
