@@ -282,6 +282,14 @@ def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
     return [(plain(name), str(value)) for name, value in stage.items() if value is not None]
 
 
+def by_import(run: str) -> str:
+    """How a stage is measured for a recording that was imported, whose drive is not this bench's."""
+    return (
+        "log its points with the same drive, import them with the same mapping, and put both together by "
+        f"`fluxbench import --merge {run} NEW --out BOTH`"
+    )
+
+
 def benefit_line(remark: Remark, run: str, options: str = "") -> str:
     """A remark of `add` or `remove` on one effect, with the command that undoes the change where that is advised.
 

@@ -126,7 +126,11 @@ def import_command(
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Import measurements of other tools as a recording."""
+    """Import measurements of other tools as a recording.
+
+    The mapping states name, motor, drive, time, current, voltage and segments, each with its columns and units. --guess
+    writes one for a file; `fluxbench schema mapping` lists its fields, and docs/import.md explains them.
+    """
     from orchestrator.interface.cli._exchange import guess_import, import_, merge_import, require_import_files
 
     if guess:
