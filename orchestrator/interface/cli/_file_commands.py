@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from orchestrator.interface.cli._options import EffectsOption, JsonOption, RunArgument
+from orchestrator.interface.cli.help_text import LOOK_UP, RECORDINGS, USE
 
 commands = typer.Typer()
 
 
-@commands.command("export", epilog="Example: fluxbench export runs/first")
+@commands.command("export", rich_help_panel=USE, epilog="Example: fluxbench export runs/first")
 def export_command(
     path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
     formats: Annotated[
@@ -32,7 +33,7 @@ def export_command(
     return export(path, formats or [], motor, out, as_json)
 
 
-@commands.command("tune", epilog="Example: fluxbench tune runs/first --speed-rpm 4000")
+@commands.command("tune", rich_help_panel=USE, epilog="Example: fluxbench tune runs/first --speed-rpm 4000")
 def tune_command(
     path: Annotated[Path, typer.Argument(help="A run or recording with a flux map; or a map file.", metavar="RUN")],
     out: Annotated[
@@ -78,7 +79,7 @@ def tune_command(
     )
 
 
-@commands.command("audit", epilog="Example: fluxbench audit runs/first")
+@commands.command("audit", rich_help_panel=USE, epilog="Example: fluxbench audit runs/first")
 def audit_command(
     path: Annotated[
         Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
@@ -104,7 +105,9 @@ def audit_command(
     return audit(path, motor, repair, picture, as_json)
 
 
-@commands.command("import", epilog="Example: fluxbench import mapping.yaml log.csv --out recordings/mine")
+@commands.command(
+    "import", rich_help_panel=RECORDINGS, epilog="Example: fluxbench import mapping.yaml log.csv --out recordings/mine"
+)
 def import_command(
     files: Annotated[
         list[Path],
@@ -144,7 +147,7 @@ def import_command(
     return import_(files[0], files[1:], out, as_json)
 
 
-@commands.command("runs", epilog="Example: fluxbench runs finished")
+@commands.command("runs", rich_help_panel=RECORDINGS, epilog="Example: fluxbench runs finished")
 def runs_command(
     words: Annotated[
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
@@ -178,7 +181,9 @@ def runs_command(
     return list_runs(folder, options)
 
 
-@commands.command("note", epilog="Example: fluxbench note runs/first 'new brake' --tag bench2")
+@commands.command(
+    "note", rich_help_panel=RECORDINGS, epilog="Example: fluxbench note runs/first 'new brake' --tag bench2"
+)
 def note_command(
     path: RunArgument,
     notes: Annotated[list[str] | None, typer.Argument(help="Notes to add.", metavar="NOTE")] = None,
@@ -197,7 +202,7 @@ def note_command(
     return note(path, notes or [], tags or [], untag or [], as_json)
 
 
-@commands.command("new", epilog="Example: fluxbench new effect lagging_drop")
+@commands.command("new", rich_help_panel=LOOK_UP, epilog="Example: fluxbench new effect lagging_drop")
 def new_command(
     kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.", metavar="KIND")],
     name: Annotated[
@@ -215,7 +220,7 @@ def new_command(
     return new(kind, name, out, as_json)
 
 
-@commands.command("plugins", epilog="Example: fluxbench plugins")
+@commands.command("plugins", rich_help_panel=LOOK_UP, epilog="Example: fluxbench plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
     """List the installed plugins, and whether each loads.
 
@@ -226,7 +231,7 @@ def plugins_command(as_json: JsonOption = False) -> int:
     return plugins(as_json)
 
 
-@commands.command("procedures", epilog="Example: fluxbench procedures demo")
+@commands.command("procedures", rich_help_panel=LOOK_UP, epilog="Example: fluxbench procedures demo")
 def procedures_command(
     name: Annotated[
         str | None, typer.Argument(help="Print this procedure, as a template for your own.", metavar="NAME")
@@ -239,7 +244,7 @@ def procedures_command(
     return procedures(name, as_json)
 
 
-@commands.command("effects", epilog="Example: fluxbench effects")
+@commands.command("effects", rich_help_panel=LOOK_UP, epilog="Example: fluxbench effects")
 def effects_command(
     name: Annotated[str | None, typer.Argument(help="Describe this effect alone.", metavar="[EFFECT]")] = None,
     effects: EffectsOption = None,
@@ -255,7 +260,7 @@ def effects_command(
     return _inspect.effects(name, effects, as_json)
 
 
-@commands.command("schema", epilog="Example: fluxbench schema motor --table")
+@commands.command("schema", rich_help_panel=LOOK_UP, epilog="Example: fluxbench schema motor --table")
 def schema_command(
     name: Annotated[
         str,
