@@ -47,15 +47,12 @@ def is_foreign(name: str | None) -> bool:
     return any(entry.name == name for entry in entries_of(GROUP))
 
 
-def summary_of(entry: EntryPoint) -> str:
-    """The first line of the docstring of a command's module, without "`fluxbench NAME`:" before it."""
-    return described(entry)[0]
-
-
 def described(entry: EntryPoint) -> tuple[str, str]:
-    """A command's summary, and its group in the list: the text that its module assigns to `HELP_GROUP`.
+    """A command's summary, and its group in the list.
 
-    The source is parsed, never run; where there is none, or no docstring in it, the distribution is named.
+    They are the first line of its module's docstring, without "`fluxbench NAME`:" before it, and the text that the
+    module assigns to `HELP_GROUP`. The source is parsed, never run; where there is none, or no docstring in it, the
+    distribution is named.
     """
     source = _source_of(entry.module)
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.interface.cli._foreign import GROUP, described, summary_of
+from orchestrator.interface.cli._foreign import GROUP, described
 from orchestrator.interface.cli._running import run_app
 from orchestrator.interface.cli.help_text import GROUPS
 
@@ -28,8 +28,8 @@ def a_module(folder: Path, text: str) -> EntryPoint:
 def test_every_command_of_the_projects_own_says_what_it_does() -> None:
     for one in entry_points(group=GROUP):
         if one.dist is not None and one.dist.name == "fluxbench":
-            assert not summary_of(one).startswith("A plugin's"), one.name
-            assert summary_of(one).endswith(".")
+            assert not described(one)[0].startswith("A plugin's"), one.name
+            assert described(one)[0].endswith(".")
 
 
 def test_the_list_of_commands_shows_each_one_s_summary_whole(capsys: pytest.CaptureFixture[str]) -> None:
@@ -61,7 +61,7 @@ def test_the_first_line_of_the_module_is_read_and_nothing_imported(
 ) -> None:
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     mine = a_module(tmp_path, '"""`fluxbench mine X`: dig for `coal`.\n\nMore."""\nraise RuntimeError\n')
-    assert summary_of(mine) == "Dig for `coal`."
+    assert described(mine)[0] == "Dig for `coal`."
     assert "some_foreign_package" not in sys.modules
 
 
@@ -70,8 +70,8 @@ def test_where_nothing_is_stated_its_origin_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
 ) -> None:
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    assert summary_of(a_module(tmp_path, text)) == "A plugin's, from ?."
+    assert described(a_module(tmp_path, text))[0] == "A plugin's, from ?."
 
 
 def test_a_module_that_there_is_not_is_no_error() -> None:
-    assert summary_of(entry("no_such_package.command:command")) == "A plugin's, from ?."
+    assert described(entry("no_such_package.command:command"))[0] == "A plugin's, from ?."
