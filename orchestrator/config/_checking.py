@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from orchestrator.config._loads import Load, load_of
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.config._requirements import Requirements
-from orchestrator.config._slips import nameplate_doubts
+from orchestrator.config._slips import nameplate_doubts, peak_current_question
 from orchestrator.formatting.quantities import quantity
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
 from protocols import Capabilities, CapabilityError, Motor, Point, Strict
@@ -131,6 +131,7 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
             *plan.notes,
             *_heat_notes(plan, rms),
             *(capabilities.notes if capabilities else ()),
+            *peak_current_question(plan.procedure.motor),
             *_measurable_notes(plan.procedure.motor),
         ),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -36,6 +36,9 @@ from protocols import (
     shipped_procedures,
 )
 
+BUS_OPTION = "dc_bus_voltage_v"
+"""Option of a drive's plugin that states its bus voltage."""
+
 
 class MotorFile(Strict):
     """A file for `--motor`: sections that replace the procedure's."""
@@ -64,6 +67,9 @@ class LoadedProcedure:
         try:
             yield
         except InputError as error:
+            if error.where == PluginKind.DRIVES.value:
+                self._question_nameplate(error)
+                raise
             prefix = {self.procedure.name: "", "drive": "drive."}.get(error.where)
             if prefix is None and not error.where.startswith("drive."):
                 raise
@@ -76,6 +82,13 @@ class LoadedProcedure:
             place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))
             as_written = f"As it is written, {field}: {error.problem}"
             raise type(error)(place, "", " ".join((*questions, as_written))) from None
+
+    def _question_nameplate(self, error: InputError) -> None:
+        """Raise the questions about a nameplate that a drive's plugin cannot be set up for; nothing without any."""
+        if questions := list(nameplate_questions(self.procedure.motor)):
+            place = self.document.place_of(questions[0].split(" ")[0].rstrip(":"))
+            as_written = f"As it is written, the drive {error.field} {error.problem.partition(' (')[0]}"
+            raise ProcedureError(place, "", " ".join((*questions, as_written))) from None
 
 
 def load_procedure(
@@ -112,15 +125,19 @@ def read_procedure(
     document = _read(source)
     example = None if motor is None else _example_limits(document)
     notes: list[str] = []
+    overlay_sections: Collection[str] = ()
     if motor is not None:
         overlay = read_document(motor, ProcedureError)
+        overlay_sections = overlay.data
         _lay_over(document, overlay, is_example=example is not None)
-        if example is not None and "drive" not in overlay.data:
+        if example is not None and "drive" not in overlay_sections:
             notes += _without_sealed_options(document)
     if drive is not None:
         _choose_drive(document, drive)
     for override in overrides:
         apply_override(document, override)
+    if example is not None and "drive" not in overlay_sections:
+        notes += _without_bus(document)
     notes += read_quantities(document)
     if example is not None:
         notes += add_rated_limits(document, example)
@@ -215,6 +232,20 @@ def _without_sealed_options(document: Document) -> list[str]:
         del drive[option]
     return [
         f"drive.{option} is the example motor's and left out: drive {name} follows the nameplate" for option in sealed
+    ]
+
+
+def _without_bus(document: Document) -> list[str]:
+    """That a simulated drive takes its bus from the nameplate, where a motor file states no drive."""
+    drive = document.data.get("drive")
+    if not isinstance(drive, dict) or drive.get("name") not in {info.name for info in installed(PluginKind.DRIVES)}:
+        return []
+    options = load_plugin(PluginKind.DRIVES, str(drive["name"])).Options.model_fields
+    if BUS_OPTION not in options or options[BUS_OPTION].is_required() or BUS_OPTION in drive:
+        return []
+    return [
+        f"drive.{BUS_OPTION} is not given: drive {drive['name']} takes the bus from the rated voltage (`check` prints "
+        "it); state yours in a section drive"
     ]
 
 

@@ -130,7 +130,7 @@ def _best_current(values: Values) -> tuple[float, float]:
     return peak_a * cosine, peak_a * math.sqrt(1.0 - cosine**2)
 
 
-def _largest_torque(values: Values) -> float:
+def largest_torque_nm(values: Values) -> float:
     """Maximum torque over all angles of the rated current [Nm]."""
     i_d, i_q = _best_current(values)
     l_d, l_q = _inductances(values)
@@ -194,7 +194,7 @@ RELATIONS = (
     Relation(
         "the largest torque of {pole_pairs} pole pairs, {pm_flux_wb} Wb and {rated_current_rms_a} A rms",
         ("pole_pairs", "pm_flux_wb", "rated_current_rms_a", "rated_torque_nm"),
-        _largest_torque,
+        largest_torque_nm,
         "Nm",
         lambda v: v["rated_torque_nm"],
         "rated_torque_nm is {rated_torque_nm}",

@@ -12,7 +12,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from orchestrator.config._nameplate import Values, broken_relations, contradictions, is_judged, mismatch, stated_values
+from orchestrator.config._nameplate import (
+    Values,
+    broken_relations,
+    completed,
+    contradictions,
+    is_judged,
+    largest_torque_nm,
+    mismatch,
+    stated_values,
+)
 from protocols import Motor
 
 POLES, HABIT, COMMON, RARE = 0.06, 0.04, 0.01, 0.001
@@ -22,6 +31,8 @@ questioned."""
 MAX_EXCESS_MISMATCH = 2.0 * math.log(100.0)
 """A named slip is within odds of 1 to 100 of the best: its mismatch plus prior exceeds the best's by at most this."""
 MAX_NAMED = 2
+MAX_COINCIDENCE = 0.02
+"""Relative difference of two numbers of a data sheet that agree, rounded as they are."""
 USUAL_BUSES_V = (12.0, 36.0, 48.0, 60.0, 72.0, 96.0)
 """DC buses that stand on a low-voltage motor's label as its voltage [V]; 24 V is a usual rms value, too."""
 BUS_TO_LINE_RMS = math.sqrt(0.5)
@@ -131,6 +142,27 @@ def nameplate_questions(motor: Motor) -> Iterator[str]:
             f"{voltage_v:g} V is a usual DC bus, of which {BUS_TO_LINE_RMS * voltage_v:.4g} V line to line rms are left"
         )
         yield f"motor.{_V}: {text}: is the stated value the bus?"
+
+
+def peak_current_question(motor: Motor) -> Iterator[str]:
+    """Whether the rated current is a peak value, where flux, current and torque differ by just that factor.
+
+    Only where no likelier slip is named. A torque sqrt 2 times the rated one is not unusual by itself, but a nameplate
+    whose numbers agree after the division is rarely a coincidence.
+    """
+    values = completed(stated_values(motor))
+    if not all(name in values for name in (_PAIRS, _PSI, _I, _T)) or likely_slips(stated_values(motor)):
+        return
+    torque_nm = largest_torque_nm(values)
+    right_a = values[_I] * math.sqrt(0.5)
+    if abs(largest_torque_nm({**values, _I: right_a}) / values[_T] - 1.0) <= MAX_COINCIDENCE:
+        made = (
+            f"{values[_PAIRS]:g} pole pairs, {values[_PSI]:.4g} Wb and {values[_I]:.4g} A rms make {torque_nm:.3g} Nm"
+        )
+        yield (
+            f"motor.{_I}: {right_a:.4g} would fit: is the stated value the peak, not the rms value? As it is written, "
+            f"{made}, √2 times rated_torque_nm"
+        )
 
 
 def likely_slips(values: Values) -> list[Slip]:

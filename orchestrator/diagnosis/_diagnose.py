@@ -52,11 +52,13 @@ from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.reporting.resemblance import (
     alternative_remarks,
     inseparable_remark,
+    needed_remarks,
     own_alternatives,
     pair_remarks,
     refitted_ties,
     resembling_pairs,
     separated_remarks,
+    separately_needed,
     with_tied,
 )
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_models
@@ -283,7 +285,8 @@ def _report(
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
     sizes = search.contributions or contributions(setup, first, last)
     alternatives = own_alternatives(setup, last, library)
-    pairs = resembling_pairs(setup.fitter, last, [c.name for c in library if is_own(c.effect)])
+    alike = resembling_pairs(setup.fitter, last, [c.name for c in library if is_own(c.effect)])
+    pairs, needed = separately_needed(setup.fitter, last, alike)
     refitted = refitted_ties(setup, last, search.indistinguishable, library, alternatives)
     tied = with_tied(search.indistinguishable, (*alternatives, *refitted), pairs)
     active = found_effects(setup.fitter, last, evidence, tied, sizes)
@@ -348,6 +351,7 @@ def _report(
             *alternative_remarks(alternatives),
             *separated_remarks(refitted),
             *pair_remarks(pairs),
+            *needed_remarks(needed),
             *own_effect_remarks(
                 setup.fitter, every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}
             ),

@@ -25,6 +25,7 @@ from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark, helps, removed_remark
 from orchestrator.diagnosis.reporting.delivery import delivery_of
+from orchestrator.diagnosis.reporting.determination import undetermined_words
 from orchestrator.diagnosis.reporting.earlier_models import earlier_model, keep_earlier
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
@@ -34,8 +35,10 @@ from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.reporting.resemblance import (
     alternative_remarks,
     alternatives_to,
+    needed_remarks,
     pair_remarks,
     resembling_pairs,
+    separately_needed,
 )
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
@@ -145,14 +148,15 @@ def _added(
     ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
     added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
     helping = {name: helps(before, after) for name, before, after in added}
-    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
+    before = added[-1][:2] if added else None
+    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping, before)
     if saved is not None and len(added) == 1:
         keep_earlier(out or recording.path, added[0][0], saved)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     last, every = steps[-1].fit, tuple(library.values())
     setup.fitter.under_way("comparing with similar effects")
     useful = [name for name, *_ in added if name in library and helping[name]]
-    pairs = resembling_pairs(setup.fitter, last, useful)
+    pairs, needed = separately_needed(setup.fitter, last, resembling_pairs(setup.fitter, last, useful))
     own = [name for name in useful if is_own(library[name].effect)]
     alternatives = [one for name in own for one in alternatives_to(setup, last, name, every)]
     benefits = [
@@ -161,7 +165,7 @@ def _added(
     ]
     stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
     remaining = bound_remarks(steps[-1].fit, stated)
-    besides = (*alternative_remarks(alternatives), *pair_remarks(pairs))
+    besides = (*alternative_remarks(alternatives), *pair_remarks(pairs), *needed_remarks(needed))
     together = (*benefits, *report.remarks, *remaining, *besides)
     # Wrong units or frames make the benefit of an effect meaningless.
     return report.model_copy(update={"remarks": tuple(sorted(together, key=lambda one: one.code != "convention"))})
@@ -319,8 +323,17 @@ def _keep_refit(
     remarks: Sequence[Remark],
     out: Path | None,
     helping: Mapping[str, bool] = MappingProxyType({}),
+    added: tuple[str, Fit] | None = None,
 ) -> AddReport:
-    """Write the model to `model.json` and report on it; raises `StorageError`."""
+    """Write the model to `model.json` and report on it; raises `StorageError`.
+
+    Parameters
+    ----------
+    helping : mapping of bool
+        Whether each effect that was added helps.
+    added : tuple, optional
+        The effect that was added last, and the fit before.
+    """
     setup.fitter.under_way("computing the intervals")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
@@ -331,8 +344,9 @@ def _keep_refit(
     saved = saved.model_copy(update={"effects": effects})
     write_model(out or recording.path, saved)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
-    band_percent = 100.0 * uncertainty.band_wb(mean_currents(fit)) / rated_flux_wb(setup)
-    deliver(delivery_of(uncertainty, fit, saved, None, band_percent), recording, out)
+    band_percent = _band_percent(setup, uncertainty)
+    widening = _widening(setup, fit, found, added)
+    deliver(delivery_of(uncertainty, fit, saved, None, band_percent, widening=widening), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,
@@ -340,6 +354,21 @@ def _keep_refit(
         unexplained=unexplained(setup, ladder[0].chi2 or math.inf, fit),
         remarks=tuple(remarks),
     )
+
+
+def _band_percent(setup: DiagnosisSetup, uncertainty: MapUncertainty) -> float:
+    """Half width of the map's 95 % band, rms over the measured currents, of the rated flux."""
+    return 100.0 * uncertainty.band_wb(mean_currents(uncertainty.fit)) / rated_flux_wb(setup)
+
+
+def _widening(
+    setup: DiagnosisSetup, fit: Fit, found: Sequence[FoundEffect], added: tuple[str, Fit] | None
+) -> tuple[str, float] | None:
+    """An effect that was added and that the recording does not determine, and the map's band without it."""
+    effect = None if added is None else next((one for one in found if one.name == added[0]), None)
+    if added is None or effect is None or not undetermined_words(fit, effect):
+        return None
+    return effect.name, _band_percent(setup, MapUncertainty.of(setup.fitter, added[1]))
 
 
 def unchanged_model(saved: MotorModel, names: Sequence[str]) -> AddReport | None:

@@ -5,7 +5,7 @@ best is put into a short form, and written as an effect plugin of one class.
 """
 
 from orchestrator.discovery.discover import Learned, discover_laws
-from orchestrator.discovery.memory import cooled, fading_memory, lagged, play, slopes, unknown_memory
+from orchestrator.discovery.memory import cooled, earlier, fading_memory, lagged, play, slopes, unknown_memory
 from orchestrator.discovery.pictures import curve_picture, draw_law, form_values
 from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
 from orchestrator.discovery.saving import load_discovery, require_name, save_discovery, write_law
@@ -19,6 +19,7 @@ __all__ = [
     "curve_picture",
     "discover_laws",
     "draw_law",
+    "earlier",
     "fading_memory",
     "form_values",
     "lagged",

@@ -16,7 +16,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import left_of_excitation
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
+from orchestrator.diagnosis.reporting.motor_model import reduced, require_effects_of, restored
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternatives_to
 from orchestrator.discovery.bases import CurveBasis, LineBasis
 from orchestrator.discovery.forms import FormFit
@@ -70,6 +70,7 @@ def discover_laws(
     diagnosis: DiagnosisReport,
     *,
     name: str = "learned_law",
+    without: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Learned:
     """Find the law that a diagnosed recording requires beyond the library.
@@ -82,6 +83,8 @@ def discover_laws(
         What the diagnosis stored; it has no model of a recording that breaks its manifest's conventions.
     name : str
         Of the effect that is written.
+    without : sequence of str
+        Effects that are doubted: they are taken out of the model, whatever its verdict.
 
     Raises
     ------
@@ -93,17 +96,21 @@ def discover_laws(
     began = time.monotonic()
     if model is not None:
         require_effects_of(model, {effect.name for effect in effects})
-    if model is None or diagnosis.verdict in EXPLAINED:
+    doubted = [] if model is None else [effect.name for effect in model.effects if effect.name in without]
+    if model is None or (diagnosis.verdict in EXPLAINED and not doubted):
         why = f"nothing to learn here: the verdict is {diagnosis.verdict.replace('_', ' ')}"
         return Learned(_without_law(diagnosis, "nothing_to_learn", why))
+    model = reduced(model, doubted)
     setup = open_for_refit(recording, model, tell)
-    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest) if c.name not in without}
     whole = restored(setup, model, model.baseline, library)
-    before = setup.fitter.fit(whole, relinearisations=0, steps=1)
+    # Without a doubted effect all others have to find their sizes anew.
+    before = setup.fitter.fit(whole) if doubted else setup.fitter.fit(whole, relinearisations=0, steps=1)
+    whole = before.model if doubted else whole
     little = _too_little(before)
     if little:
         return Learned(_report(diagnosis, before, None, "nothing_to_learn", little, (), began))
-    named = [effect.name for effect in diagnosis.effects]
+    named = [effect.name for effect in diagnosis.effects if effect.name not in doubted]
     outcome = learn_laws(setup, whole, named, name, tell)
     verdict, why = _verdict(before, outcome)
     laws = _laws(setup, outcome, tuple(library.values())) if outcome.laws else ()

@@ -222,8 +222,8 @@ class Ranges:
 
 QUANTITIES = (
     of.PHASE_CURRENT, of.SMOOTH_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.CURRENT_SLOPE, of.PHASE_VOLTAGE,
-    of.PHASE_FLUX, of.CURRENT, of.CURRENT_D, of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME,
-    of.HEAT, of.ROTOR_ANGLE,
+    of.VOLTAGE_BEFORE, of.PHASE_FLUX, of.CURRENT, of.CURRENT_D, of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER,
+    of.LINK_VOLTAGE, of.TIME, of.HEAT, of.ROTOR_ANGLE,
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
@@ -249,6 +249,7 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.READING, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.READING, of.NEXT_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PREVIOUS_CURRENT, ("odd",), SENSORS),
+    (at.READING, of.VOLTAGE_BEFORE, ("odd",), SENSORS),
     (at.READING_BY_TIME, of.PHASE_CURRENT, ("odd",), SENSORS),
     (at.READING, of.CURRENT_SLOPE, ("odd",), SENSORS),
     (at.READING, of.CURRENT, ("none",), SENSORS),

@@ -104,6 +104,15 @@ def slopes(x: RealArray, signals: Signals | SignalBatch) -> Array:
     return np.asarray(out * np.repeat(rates, np.diff(starts))[:, None], dtype=np.float64)
 
 
+def earlier(x: RealArray, signals: Signals | SignalBatch) -> Array:
+    """Each column of x (n, m) one sample earlier; a segment's first is its own."""
+    starts, _ = _layout(signals)
+    x = _columns(x)
+    out = np.concatenate([x[:1], x[:-1]])
+    out[starts[:-1]] = x[starts[:-1]]
+    return out
+
+
 def _layout(signals: Signals | SignalBatch) -> tuple[NDArray[np.int64], Array]:
     """Bounds of the segments' samples (segments + 1,) and their sampling frequencies (segments,)."""
     if isinstance(signals, SignalBatch):

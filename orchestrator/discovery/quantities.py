@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.discovery.memory import slopes
+from orchestrator.discovery.memory import earlier, slopes
 from orchestrator.numerics.frames import to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch, Signals
@@ -49,6 +49,11 @@ def current_slopes(signals: Signals | SignalBatch) -> Array:
 def phase_voltages(signals: Signals | SignalBatch) -> Array:
     """Each phase's own voltage as commanded [V]."""
     return to_phases(signals.v_ab)
+
+
+def voltages_before(signals: Signals | SignalBatch) -> Array:
+    """Each phase's own voltage as commanded up to each reading [V]."""
+    return earlier(to_phases(signals.v_ab), signals)
 
 
 def phase_fluxes(signals: Signals | SignalBatch) -> Array:
@@ -147,6 +152,7 @@ PREVIOUS_CURRENT = Quantity(
 )
 CURRENT_SLOPE = Quantity(current_slopes, "the slope of its own current", "A/s", "di/dt", of_phases=True)
 PHASE_VOLTAGE = Quantity(phase_voltages, "its own voltage", "V", "v", of_phases=True)
+VOLTAGE_BEFORE = Quantity(voltages_before, "its own voltage before the reading", "V", "v", of_phases=True)
 PHASE_FLUX = Quantity(phase_fluxes, "its own flux", "Wb", "psi", of_phases=True)
 CURRENT = Quantity(current, "|i|", "A", "|i|")
 CURRENT_D = Quantity(current_d, "i_d", "A", "i_d")

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, eigh
 
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -30,6 +31,8 @@ MAX_CHANGE_OF_RESISTANCE: float = 0.05
 neither voltage nor resistance nor flux they hold exactly."""
 RIDGE_OF_ROUNDING: float = 1e-10
 """Information added to each fitted number, relative to its own."""
+STEP_FROM_BOUND: float = 1e-3
+"""Step in standard deviations of the prior that shows whether a fitted parameter is at a bound."""
 DECADES: tuple[float, float] = (-6.0, 8.0)
 """Range of log10 tau^2, in units in which the law's information is one."""
 
@@ -95,18 +98,43 @@ def _blocks(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis]) -> list[
     evaluated = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit)
     total, pulls = evaluated.system()
     fitted = len(total) - len(columns)
-    across = total[:fitted, fitted:]
+    gradient = -pulls.sum(axis=0)
+    gradient[:fitted] = _gradient_of_fitted(fit, gradient[:fitted])
+    moves = _can_move(fit, gradient[:fitted])
+    across, normal = total[:fitted, fitted:][moves], total[:fitted, :fitted][np.ix_(moves, moves)]
     own = total[fitted:, fitted:] - np.eye(len(columns))
-    follow = _solved(total[:fitted, :fitted], across)
+    follow = _solved(normal, across)
     own -= across.T @ follow
-    # At a fit the gradient of all that is fitted is zero, its prior included.
-    gradient = -pulls.sum(axis=0)[fitted:]
+    rest = gradient[:fitted][moves]
+    gradient = gradient[fitted:] - follow.T @ rest
     blocks, at = [], 0
     for one in hypotheses:
         k = slice(at, at + one.basis.size)
         blocks.append(_Block(one, own[k, k], gradient[k], -follow[0, k]))
         at += one.basis.size
     return blocks
+
+
+def _gradient_of_fitted(fit: Fit, of_data: Array) -> Array:
+    """Minus the objective's gradient by R_s, the map and the effects' parameters, with their priors.
+
+    That of R_s and the map is zero. That of an effect's parameter is not, where it or another one is at a bound.
+    """
+    gradient = np.zeros_like(of_data)
+    free = fit.model.free
+    if free:
+        gradient[-len(free) :] = of_data[-len(free) :] - [term.prior_residual(name) for term, name in free]
+    return gradient
+
+
+def _can_move(fit: Fit, gradient: Array) -> NDArray[np.bool_]:
+    """Which of the fitted numbers may follow a law: not those that their gradient holds at a bound."""
+    moves = np.ones(len(gradient), dtype=np.bool_)
+    first = len(gradient) - len(fit.model.free)
+    for k, (term, name) in enumerate(fit.model.free, first):
+        x, step = term.standardised_value(name), float(np.sign(gradient[k])) * STEP_FROM_BOUND
+        moves[k] = step == 0.0 or term.moved(name, x + step).values[name] != term.values[name]
+    return moves
 
 
 def _solved(normal: Array, right: Array) -> Array:

@@ -1,7 +1,8 @@
 """The search for a law: rank flexible laws, find a short form, and test it on the stages that were held out.
 
-What a diagnosis names beside an unknown may be its stand-in. So a second model, R_s and map alone, is started from
-unless a law beside the named causes leaves no more than noise; the one whose best law leaves less is kept. As long as
+What a diagnosis names beside an unknown may be its stand-in, and what it does not name may be there. So the whole
+model and R_s and map alone are started from too, unless a law beside the named causes leaves no more than noise. The
+one whose best law leaves the least is kept. As long as
 more than noise is left, a further law is looked for beside the first.
 """
 
@@ -13,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
@@ -137,7 +139,7 @@ def learn_laws(
     """
     causes = [a for a in model.active if a.name in named]
     starts = []
-    for active in [causes, []] if causes else [[]]:
+    for active in _distinct([causes, list(model.active), []]):
         beside = ", ".join(a.name.replace("_", " ") for a in active) or "R_s and map"
         tell(f"which place and quantity, beside {beside}?")
         starts.append(_start(setup, model.with_active(active)))
@@ -162,6 +164,12 @@ def learn_laws(
         start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
     before = _without_laws(setup, laws) if laws else fit
     return SearchOutcome(before, tuple(laws), tuple(first))
+
+
+def _distinct(models: Sequence[list[EffectTerm]]) -> list[list[EffectTerm]]:
+    """Each selection of effects once, in the given order; the empty one last."""
+    by_names = {tuple(term.name for term in one): one for one in models}
+    return [*(one for names, one in by_names.items() if names), []]
 
 
 def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], None]) -> LearnedLaw:

@@ -258,7 +258,7 @@ def _table_lines(table: Table, suffix: str) -> str:
 
 def _imports(code: str) -> str:
     frames = [n for n in ("from_phases", "from_two_phases", "to_dq", "to_phases") if re.search(rf"\b{n}\(", code)]
-    kept = ("cooled", "fading_memory", "lagged", "play", "slopes", "unknown_memory")
+    kept = ("cooled", "earlier", "fading_memory", "lagged", "play", "slopes", "unknown_memory")
     memory = [n for n in kept if re.search(rf"\b{n}\(", code)]
     shapes = ", ".join(["amplitude", *(["shape"] if " shape(" in code else [])])
     return "\n".join(

@@ -33,7 +33,7 @@ from protocols import (
 
 MODEL_LEFT_OUT = "model_left_out"
 """Code of the remark on an earlier model of other segments."""
-_RECOMPUTED_REMARKS = ("no_map", "far_from_nameplate")
+_RECOMPUTED_REMARKS = ("no_map", "far_from_nameplate", "common_factor")
 """Codes of remarks that are recomputed for the model's map."""
 
 

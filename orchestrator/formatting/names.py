@@ -19,7 +19,23 @@ MAP_QUANTITIES = {
     "l_qq": ("L_qq", "mH"),
 }
 """A flux map's variables: symbol, and the unit in which they are shown."""
-_PARAMETER_UNITS = ("_a_per_s", "_per_s", "_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
+_PARAMETER_UNITS = (
+    "_a_per_s",
+    "_per_s",
+    "_a",
+    "_v",
+    "_s",
+    "_hz",
+    "_ohm",
+    "_rad",
+    "_wb",
+    "_h",
+    "_w",
+    "_j",
+    "_k",
+    "_per_watt",
+    "_per_a2",
+)
 
 _PARAMETER_MEANINGS = {
     "threshold_a": "current below which it fades",

@@ -18,6 +18,8 @@ _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _RELATIVE_ZERO = 1e-6
 """Ratio below which a number counts as zero beside another."""
+_MAX_WIDTH_IN_PREFIX = 1000.0
+"""Ratio of an interval's farther end to the value from which the end chooses the prefix."""
 _RELATIVE_UNITS = ("1/W", "1/K", "1/A^2")
 """Units of relative changes, which are printed in per cent."""
 _MIN_IN_PERCENT = 1e-6
@@ -70,10 +72,11 @@ class Scale:
     def of(cls, value: float, low: float, high: float, unit: str) -> Scale:
         """The scale for a value and its interval: decimals down to the smaller distance of an end from the value.
 
-        A value that is negligible beside its interval counts as zero, and one very near an end as that end.
+        A value that is far smaller than its interval has the interval's prefix, and one very near an end counts as
+        that end.
         """
         largest = max(abs(low), abs(high))
-        power, printed = _prefixed(value if abs(value) > _RELATIVE_ZERO * largest else largest, unit)
+        power, printed = _prefixed(value if abs(value) * _MAX_WIDTH_IN_PREFIX > largest else largest, unit)
         least = min(value - low, high - value)
         least = least if least > _RELATIVE_ZERO * (high - low) else high - low
         # Digits below a millionth of the value carry no information.

@@ -61,6 +61,7 @@ MIN_CHI2_RATIO_TO_NOTE: float = 1.1
 """Ratio of two values of chi2 of the same effects from which a refit says why they differ."""
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
+    "undetermined": "remove",
     "needed": "add", "not_needed": None,
 }  # fmt: skip
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
@@ -279,6 +280,14 @@ def share_notes(report: DiagnosisReport) -> list[str]:
 def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
     """A proposed stage's settings."""
     return [(plain(name), str(value)) for name, value in stage.items() if value is not None]
+
+
+def by_import(run: str) -> str:
+    """How a stage is measured for a recording that was imported, whose drive is not this bench's."""
+    return (
+        "log its points with the same drive, import them with the same mapping, and put both together by "
+        f"`fluxbench import --merge {run} NEW --out BOTH`"
+    )
 
 
 def benefit_line(remark: Remark, run: str, options: str = "") -> str:

@@ -54,6 +54,8 @@ _CONTRACTS: Mapping[PluginKind, type] = {
 
 PLUGIN_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
 """Names of plugins: a command line, a folder and a Python module can all have one."""
+DISTRIBUTION = "fluxbench"
+"""The distribution of the library's own plugins."""
 UNKNOWN = "?"
 """Distribution and version of what no installed distribution provides."""
 
@@ -71,6 +73,11 @@ class PluginInfo(Strict):
     def __str__(self) -> str:
         source = "" if self.distribution == UNKNOWN else f", from {self.distribution} {self.version}"
         return f"plugin {self.name!r} ({self.module}{source})"
+
+
+def of_other_distributions(kind: PluginKind) -> frozenset[str]:
+    """Names of the installed plugins of a kind that another distribution than fluxbench provides."""
+    return frozenset(info.name for info in installed(kind) if info.distribution not in (DISTRIBUTION, UNKNOWN))
 
 
 class Installed:

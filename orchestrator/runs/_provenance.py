@@ -10,10 +10,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
-from orchestrator.registry.plugins import PluginInfo
+from orchestrator.registry.plugins import DISTRIBUTION, PluginInfo
 from protocols import Strict
-
-_DISTRIBUTION = "fluxbench"
 
 
 class GitState(Strict):
@@ -43,7 +41,7 @@ class Provenance(Strict):
 def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
     """The provenance of a run by this process with these plugins."""
     return Provenance(
-        fluxbench=_version(_DISTRIBUTION) or "?",
+        fluxbench=_version(DISTRIBUTION) or "?",
         python=platform.python_version(),
         platform=platform.platform(),
         packages=dict(_packages()),
@@ -55,7 +53,7 @@ def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
 @cache  # parses the metadata of each package, and what is imported stays as it is
 def _packages() -> Mapping[str, str]:
     try:
-        needed = requires(_DISTRIBUTION) or []
+        needed = requires(DISTRIBUTION) or []
     except PackageNotFoundError:
         return {}
     names = (re.split(r"[^A-Za-z0-9_.-]", line, maxsplit=1)[0] for line in needed if "extra ==" not in line)

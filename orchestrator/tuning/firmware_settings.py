@@ -33,7 +33,7 @@ class _Setting:
 
 
 def settings_for_firmware(
-    control: CurrentControl, limits: DriveLimits, flux_map: FluxMap | None = None
+    control: CurrentControl, limits: DriveLimits, flux_map: FluxMap | None = None, lost_time_s: float = 0.0
 ) -> dict[str, bytes]:
     """One text of `name = value` lines for each firmware, by file name; comments begin with #.
 
@@ -44,13 +44,15 @@ def settings_for_firmware(
         The settings hold within its current limit and at its sampling frequency.
     flux_map : FluxMap, optional
         For the inductances and the flux without current; by default, and where it has none, they are the control's.
+    lost_time_s : float
+        Time that each leg loses in a PWM period; zero where it is not known.
 
     Raises
     ------
     InputError
         Where the map has an inductance within the current limit that is not positive.
     """
-    d, q = _least(control, limits)
+    d, q = least_inductances_h(control, limits)
     least = min(d, q)
     rest_d, rest_q = _at_rest(control, flux_map)
     alpha, r_s = control.bandwidth_rad_s, control.r_s_ohm
@@ -68,6 +70,8 @@ def settings_for_firmware(
             _Setting("PID_current_q.I", alpha * r_s, "alpha R_s [V/(A s)]"),
             _Setting("PID_current_d.limit", limits.voltage_v, "bus / sqrt 3 [V]"),
             _Setting("PID_current_q.limit", limits.voltage_v, "bus / sqrt 3 [V]"),
+            _Setting("LPF_current_d.Tf", 0.0, "no filter [s]: the phase margin allows none, least of all the default"),
+            _Setting("LPF_current_q.Tf", 0.0, "no filter [s]"),
         ),
         "vesc": (
             _Setting("foc_current_kp", alpha * least, "alpha L, the least [V/A]"),
@@ -76,6 +80,11 @@ def settings_for_firmware(
             _Setting("foc_motor_l", 0.5 * (rest_d + rest_q), "(L_d + L_q) / 2 without current [H]"),
             _Setting("foc_motor_ld_lq_diff", rest_q - rest_d, "L_q - L_d without current [H]"),
             *([] if linkage is None else [_Setting("foc_motor_flux_linkage", linkage, "psi_d without current [Wb]")]),
+            *(
+                [_Setting("foc_dt_us", 1e6 * lost_time_s, "time that a leg loses in a period [us]")]
+                if lost_time_s
+                else []
+            ),
         ),
     }
     files = {f"{name}.txt": _text(name, settings, control, limits) for name, settings in texts.items()}
@@ -84,7 +93,7 @@ def settings_for_firmware(
     return files
 
 
-def _least(control: CurrentControl, limits: DriveLimits) -> tuple[float, float]:
+def least_inductances_h(control: CurrentControl, limits: DriveLimits) -> tuple[float, float]:
     """Least incremental inductance towards d and q within the current limit, cross-saturation included [H].
 
     A step on one axis meets 1 / (L^-1)_kk, which is below L_kk by L_dq^2 / L of the other axis.

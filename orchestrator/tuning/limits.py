@@ -19,6 +19,7 @@ PLAUSIBLE: dict[str, tuple[float, float]] = {
     "bus_v": (1.0, 1e5),
     "speed_rpm": (1.0, 1e6),
     "sampling_hz": (100.0, 1e6),
+    "pwm_hz": (100.0, 1e6),
 }
 """Least and greatest values of given limits: outside, a unit is wrong."""
 MIN_CURRENT_RATIO: float = 1e-2
@@ -38,13 +39,17 @@ class DriveLimits:
     speed_rad_s : float
         Largest electrical speed [rad/s].
     sampling_hz : float
-        Frequency of the current control, which updates the voltage once in a period.
+        Frequency of the current control, which updates the voltage once in a period; with a double update, twice
+        `pwm_hz`. The control's delay follows from it.
+    pwm_hz : float
+        Frequency of the PWM, which the inverter's loss follows.
     """
 
     current_a: float
     bus_v: float
     speed_rad_s: float
     sampling_hz: float
+    pwm_hz: float
 
     @property
     def voltage_v(self) -> float:
@@ -60,6 +65,7 @@ def limits_of(
     bus_v: float | None = None,
     speed_rpm: float | None = None,
     sampling_hz: float | None = None,
+    pwm_hz: float | None = None,
 ) -> DriveLimits:
     """Limits as given, else as the nameplate and the recording's drive have them.
 
@@ -75,7 +81,9 @@ def limits_of(
     speed_rpm : float, optional
         Mechanical [1/min]; by default the rated one, or else that at which the magnet alone takes the whole voltage.
     sampling_hz : float, optional
-        [Hz]; by default the recording's PWM frequency.
+        [Hz]; by default the PWM's.
+    pwm_hz : float, optional
+        [Hz]; by default the recording's, or `sampling_hz` where that has none.
 
     Raises
     ------
@@ -84,7 +92,13 @@ def limits_of(
     """
     measured = machine.largest_current_a
     rated = machine.motor.rated_current_a
-    given = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    given = {
+        "current_a": current_a,
+        "bus_v": bus_v,
+        "speed_rpm": speed_rpm,
+        "sampling_hz": sampling_hz,
+        "pwm_hz": pwm_hz,
+    }
     for name, value in given.items():
         option = f"(--{name.replace('_', '-')})"
         if value is not None and not (math.isfinite(value) and value > 0.0):
@@ -100,8 +114,9 @@ def limits_of(
     bus = bus_v or (drive.dc_bus_voltage_v if drive is not None else None)
     if bus is None:
         raise InputError(WHERE, "bus_v", "unknown; give the DC bus voltage (--bus-v)")
-    sampling = sampling_hz or (drive.pwm_frequency_hz if drive is not None else None)
-    if sampling is None:
+    pwm = pwm_hz or (drive.pwm_frequency_hz if drive is not None else None) or sampling_hz
+    sampling = sampling_hz or pwm
+    if sampling is None or pwm is None:
         raise InputError(WHERE, "sampling_hz", "unknown; give the frequency of the current control (--sampling-hz)")
     usable = (1.0 - VOLTAGE_RESERVE) * bus / math.sqrt(3.0)
     if machine.r_s_ohm * current >= usable:
@@ -121,7 +136,7 @@ def limits_of(
                 f"{sampling:g} Hz suffices up to {rpm:.0f} rpm: {MIN_SAMPLES_PER_TURN:g} samples in an electrical turn"
             )
             raise InputError(WHERE, "speed_rpm", text)
-    return DriveLimits(current, bus, speed, sampling)
+    return DriveLimits(current, bus, speed, sampling, pwm)
 
 
 def _largest_speed(machine: Machine, speed_rpm: float | None, bus_v: float) -> float:

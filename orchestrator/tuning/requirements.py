@@ -44,7 +44,8 @@ def _missing(
         )
     if given.get("bus_v") is None and drive is None:
         yield "bus_v", "unknown; give the DC bus voltage (--bus-v)"
-    if given.get("sampling_hz") is None and (drive is None or drive.pwm_frequency_hz is None):
+    without_pwm = given.get("pwm_hz") is None and (drive is None or drive.pwm_frequency_hz is None)
+    if given.get("sampling_hz") is None and without_pwm:
         yield "sampling_hz", "unknown; give the frequency of the current control (--sampling-hz)"
     if given.get("speed_rpm") is None and motor.rated_speed_rpm is None and not motor.pm_flux_wb:
         yield "speed_rpm", "unknown; give the largest speed (--speed-rpm)"

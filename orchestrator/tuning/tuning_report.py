@@ -18,7 +18,7 @@ from orchestrator.tuning.c_code import c_files, source_values
 from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
-from orchestrator.tuning.firmware_settings import settings_for_firmware
+from orchestrator.tuning.firmware_settings import least_inductances_h, settings_for_firmware
 from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.pictures import tuning_picture
 from orchestrator.tuning.sensorless import Sensorless
@@ -41,6 +41,8 @@ class TuningReport(Strict):
     current_limit_a: float
     bus_v: float
     sampling_hz: float
+    """Of the current control."""
+    pwm_hz: Number = None
     largest_torque_nm: float
     base_speed_rpm: float
     """Up to which the largest torque is available; may be above the largest speed."""
@@ -63,6 +65,10 @@ class TuningReport(Strict):
     r_s_ohm: float
     r_s_at_c: float
     """Resistance of a phase, and the winding's temperature at which it holds; 20 °C where that is not known."""
+    k_p_v_per_a: tuple[float, float] | None = None
+    """Proportional gains of plain PI controllers of i_d and i_q: the bandwidth times the least inductance [V/A]."""
+    k_i_v_per_as: Number = None
+    """Their integral gain: the bandwidth times R_s [V/(A s)]."""
     delay_s: float
     """From sampling to the mean of the voltage."""
     compensated: tuple[str, ...]
@@ -71,6 +77,8 @@ class TuningReport(Strict):
     """Effects of the model that it does not, with the reason."""
     lost_v: float
     """Voltage of a leg that the inverter loses at the largest current, at this bus voltage [V]."""
+    lost_time_s: Number = None
+    """Time that a leg loses in a PWM period at the largest current, its dead time for the most part [s]."""
     constant_inductance_error_percent: float
     """Torque error of references from constant inductances, rms over the largest torque."""
     low_speed_rpm: float
@@ -110,6 +118,7 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
     worst = plane[np.unravel_index(int(error.argmax()), error.shape)] if works.any() else None
     speeds = np.linspace(0.0, tuning.largest_speed_rad_s, MARGIN_SPEEDS).tolist()
     lost = np.abs(compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v)
+    least_d, least_q = least_inductances_h(control, limits)
     return TuningReport(
         motor=tuning.machine.motor.name,
         recording=recording,
@@ -117,6 +126,7 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         current_limit_a=limits.current_a,
         bus_v=limits.bus_v,
         sampling_hz=limits.sampling_hz,
+        pwm_hz=limits.pwm_hz,
         largest_torque_nm=tuning.largest_torque_nm,
         base_speed_rpm=tuning.rpm(tuning.base_speed_rad_s),
         largest_speed_rpm=tuning.rpm(tuning.largest_speed_rad_s),
@@ -132,10 +142,13 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         integral_limit_v=limits.voltage_v,
         r_s_ohm=control.r_s_ohm,
         r_s_at_c=ROOM_C if control.winding_c is None else control.winding_c,
+        k_p_v_per_a=(control.bandwidth_rad_s * least_d, control.bandwidth_rad_s * least_q),
+        k_i_v_per_as=control.bandwidth_rad_s * control.r_s_ohm,
         delay_s=control.delay_s,
         compensated=compensation.sources,
         left_out={one.name: one.reason for one in compensation.left_out},
         lost_v=float(lost.max(initial=0.0)),
+        lost_time_s=lost_time_s(tuning),
         constant_inductance_error_percent=tuning.benefits.torque_error_percent,
         low_speed_rpm=tuning.rpm(tuning.benefits.speed_rad_s),
         harmonics_percent=tuning.benefits.harmonics_percent,
@@ -149,6 +162,11 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         observer_speed_warm_rpm=_finite(tuning.rpm(sensorless.least_speed_warm_rad_s)),
         remarks=tuple(_remarks(tuning)),
     )
+
+
+def lost_time_s(tuning: DriveTuning) -> float:
+    """Time that a leg loses in a PWM period at the largest current: what it loses in proportion to the bus [s]."""
+    return float(np.abs(tuning.compensation.lost_per_bus_v[-1])) / tuning.limits.pwm_hz
 
 
 def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequence[Remark] = ()) -> TuningReport:
@@ -171,7 +189,7 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
         "compensation.csv": _compensation_csv(tuning),
         "tuning.svg": tuning_picture(tuning),
         **code,
-        **settings_for_firmware(tuning.control, tuning.limits, tuning.machine.flux_map),
+        **settings_for_firmware(tuning.control, tuning.limits, tuning.machine.flux_map, lost_time_s(tuning)),
     }
     report = report_of(tuning, recording)
     known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks, *on_code)}

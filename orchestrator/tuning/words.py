@@ -26,6 +26,8 @@ FILE_CONTENTS = (
 )
 """Endings of the written files and what these hold; a header is named with its source file."""
 
+MIN_USEFUL_SHARE_PERCENT = 10.0
+"""Part of the currents below which a tracking by injection is of no use."""
 MIN_OBSERVER_SPEED_RATIO = 0.01
 """Speed over the largest one below which no back-EMF observer works, whatever R_s is: readings drift."""
 
@@ -33,7 +35,8 @@ MIN_OBSERVER_SPEED_RATIO = 0.01
 def headline(report: TuningReport) -> str:
     """The motor and the limits."""
     limits = f"{quantity(report.current_limit_a, 'A')} peak, {quantity(report.bus_v, 'V')} bus"
-    return f"{report.motor}: {limits}, control at {number(report.sampling_hz)} Hz"
+    pwm = f", PWM at {number(report.pwm_hz)} Hz" if report.pwm_hz not in (None, report.sampling_hz) else ""
+    return f"{report.motor}: {limits}, control at {number(report.sampling_hz)} Hz{pwm}"
 
 
 def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
@@ -54,8 +57,9 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
             f"bandwidth {number(report.integral_hz, 3)} Hz; its output is limited to "
             f"{quantity(report.integral_limit_v, 'V')}, the bus over √3",
         ),
+        *_gain_rows(report),
         ("compensated effects", listed([plain(name) for name in report.compensated]) or "none"),
-        *([("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg")] if report.lost_v else []),
+        *([("inverter's loss", _loss(report))] if report.lost_v else []),
         *_harmonics_rows(report),
         (
             "with constant inductances instead",
@@ -63,6 +67,23 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
         ),
         *_sensorless_rows(report),
     ]
+
+
+def _gain_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """The gains of plain PI controllers."""
+    if report.k_p_v_per_a is None or report.k_i_v_per_as is None:
+        return []
+    d, q = (number(k_p, 3) for k_p in report.k_p_v_per_a)
+    k_p = f"{d} V/A" if d == q else f"{d} V/A for i_d, {q} V/A for i_q"
+    return [("... as plain PI controllers", f"k_p {k_p}; k_i {number(report.k_i_v_per_as, 3)} V/(A s)")]
+
+
+def _loss(report: TuningReport) -> str:
+    text = f"up to {quantity(report.lost_v, 'V')} a leg"
+    if not report.lost_time_s:
+        return text
+    pwm = "" if report.pwm_hz is None else f" at {quantity(report.pwm_hz, 'Hz')} PWM"
+    return f"{text}; as a dead time {quantity(report.lost_time_s, 's')}{pwm}"
 
 
 def notes(report: TuningReport) -> list[str]:
@@ -106,6 +127,10 @@ def file_rows(report: TuningReport) -> list[tuple[str, str]]:
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
     share, error, place = report.injection_works_percent, report.injection_error_deg, report.injection_error_at_a
     rows = []
+    if share is not None and share < MIN_USEFUL_SHARE_PERCENT:
+        where = f"{number(share, 2)} % of the currents within the limit of {quantity(report.current_limit_a, 'A')}"
+        text = f"does not work on this motor: the saliency suffices at {where}"
+        return [("tracking by injection", f"{text}; use a sensor"), *_observer_rows(report)]
     if share is not None:
         currents = "every current" if share == 100.0 else f"{number(share, 2)} % of the currents"
         limit = quantity(report.current_limit_a, "A")
@@ -131,7 +156,9 @@ def _observer_rows(report: TuningReport) -> list[tuple[str, str]]:
     if warm is None or cold is None:
         return [("back-EMF observer", "position error above 5° electrical at every speed")]
     floor = MIN_OBSERVER_SPEED_RATIO * report.largest_speed_rpm
-    right = f"from {cold:.0f} rpm on" if cold >= floor else "limited by drift and offsets, which are not counted"
+    right = f"from {cold:.0f} rpm on"
+    if cold < floor:
+        right = f"from less than {floor:.0f} rpm on, where drift and offsets decide; these are not counted"
     return [
         (
             "back-EMF observer",

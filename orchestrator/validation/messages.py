@@ -129,7 +129,7 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
     if kind == "extra_forbidden":
         valid = _valid_keys(model, found["loc"][:-1])
         other = OTHER_MOTOR_KEYS.get(key.lower().split("_")[0]) if "pm_flux_wb" in valid else None
-        return f"unknown key; {other or suggestion(key, valid)}"
+        return f"unknown key; {other or _of_settings(key, valid) or suggestion(key, valid)}"
     if kind == "missing":
         return "missing"
     if kind == "union_tag_invalid":
@@ -147,6 +147,15 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
     message = str(found["msg"]).removeprefix("Value error, ").removeprefix("Input ")
     message = message[:1].lower() + message[1:]
     return message if kind in ("value_error", "array") else f"{message}, got {_shown(found['input'])}"
+
+
+def _of_settings(key: str, valid: Iterable[str]) -> str:
+    """Where a set-point is written that is no key of its own; empty for another key."""
+    names = set(valid)
+    is_quantity = key.rsplit("_", 1)[-1] in _UNITS and "_" in key
+    if "settings" not in names or not is_quantity or nearest(key, names) is not None:
+        return ""
+    return f"a set-point of the segment stands in settings: {{{key}: ...}}"
 
 
 def _discriminator(found: Any) -> str:

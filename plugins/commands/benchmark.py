@@ -14,6 +14,10 @@ import typer
 from plugins.command_line import AsJson, group_entry_point
 from protocols import InputError
 
+HELP_GROUP = "Try and prove"
+"""Its place in the list of commands."""
+
+
 SET = Annotated[Path, typer.Argument(help="Folder of the 120 recordings, which `make` creates.", metavar="SET")]
 Only = Annotated[list[str] | None, typer.Option("--only", help="Only this recording; may be repeated.", metavar="ID")]
 FROM_SOURCE = "needs the source tree, whose plants are not in the wheel: start it in a clone of the repository"

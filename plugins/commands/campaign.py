@@ -13,6 +13,10 @@ from plugins.commands.fleet._work import Dashboard, Jobs, RetryFailed, Scheduler
 if TYPE_CHECKING:
     from orchestrator.fleet.campaign import PowerReport
 
+HELP_GROUP = "Try and prove"
+"""Its place in the list of commands."""
+
+
 RECORDINGS, REPORT = ".recordings", "_campaign.json"
 """Names in the table's folder that readers of Parquet skip."""
 

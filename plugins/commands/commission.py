@@ -17,6 +17,10 @@ from protocols import InputError
 if TYPE_CHECKING:
     from orchestrator.shelf import JudgedRun
 
+HELP_GROUP = "Measure"
+"""Its place in the list of commands."""
+
+
 STREAMS = ("console", "report", "rerun")
 
 

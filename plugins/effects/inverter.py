@@ -189,6 +189,8 @@ class DeadTime(BatchEffect, RemarkingEffect):
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = ""
 
+    at_the_bench: ClassVar[str] = "compare with the dead time that is set and with the gate drivers' data sheet"
+
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-60.0, high=60.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=10.0, other_form=2.0)
@@ -301,6 +303,8 @@ class DeviceDrop(BatchEffect):
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = "The switches' on-resistance counts as R_s; no measurement of this kind tells them apart."
 
+    at_the_bench: ClassVar[str] = "compare with the forward voltages in the data sheet of the switches and diodes"
+
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=20.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
@@ -352,6 +356,10 @@ class VoltageBias(BatchEffect):
         "Only readings with the gates off tell it from a current offset, whose voltage is R_s times the offset."
     )
     remedy: ClassVar[str] = "add it to the commanded voltage of each phase; that of c is minus the sum of a and b"
+
+    at_the_bench: ClassVar[str] = (
+        "measure the mean voltage of each leg at half duty, and compare the gate drivers' delays"
+    )
 
     class Parameters(EffectParameters):
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)

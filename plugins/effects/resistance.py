@@ -95,6 +95,8 @@ class WindingHeating(BatchEffect):
         "R_s is the resistance at the experiment's start temperature; the thermal resistance is a copper winding's."
     )
 
+    at_the_bench: ClassVar[str] = "log the winding's temperature, and leave pauses between currents"
+
     class Parameters(EffectParameters):
         rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=0.0, high=0.1)
         time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=1.0, high=20000.0)

@@ -89,6 +89,8 @@ class CurrentFilter(BatchEffect):
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
     gauge: ClassVar[str] = ""
 
+    at_the_bench: ClassVar[str] = "look up the bandwidth of the current sensors, their amplifiers and filters"
+
     class Parameters(EffectParameters):
         time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=0.0, high=1e-3)
 

@@ -9,6 +9,9 @@ import typer
 
 from plugins.command_line import entry_point
 
+HELP_GROUP = "Look up and extend"
+"""Its place in the list of commands."""
+
 
 def wire(
     c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.determination import undetermined_words
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
 from orchestrator.diagnosis.reporting.parameter_bounds import bounds_reached
 from orchestrator.diagnosis.weak_form.segments import SegmentData
@@ -26,8 +27,9 @@ SEVERAL_TIMES_THE_NOISE: float = 5.0
 def added_remark(
     name: str, before: Fit, after: Fit, found: FoundEffect | None, resembles: Sequence[str] = ()
 ) -> Remark:
-    """Whether an added effect helps: code ``helps``, ``helps_at_bound``, ``helps_besides`` or ``does_not_help``.
+    """Whether an added effect helps, by one of five codes.
 
+    They are ``helps``, ``helps_at_bound``, ``helps_besides``, ``does_not_help`` and ``undetermined``.
     One with a parameter at its bound may help more within wider ones, or imitate something else. So may one that
     resembles another effect of the model.
 
@@ -53,6 +55,9 @@ def added_remark(
                 "helps_besides", "{effect} may help: " + f"{course}; but it resembles {others}", name, errors
             )
         return _remark("helps", "{effect} helps: " + course + _while_much_is_left(errors), name, errors)
+    unknown = "" if found is None else undetermined_words(after, found)
+    if unknown:
+        return _remark("undetermined", "{effect} does not help, nor is it excluded: " + unknown, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
     return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)

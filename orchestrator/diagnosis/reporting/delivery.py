@@ -15,6 +15,7 @@ from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.verdict import most_strained
 from orchestrator.diagnosis.reporting.findings import size_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
+from orchestrator.formatting.names import plain
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
 _WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
@@ -52,6 +53,7 @@ def delivery_of(
     verdict: Verdict | None,
     band_percent: float,
     moved: Mapping[str, float] | None = None,
+    widening: tuple[str, float] | None = None,
 ) -> Delivery:
     """The map and R_s of a fit, and the objections to them.
 
@@ -69,8 +71,10 @@ def delivery_of(
         Half width of the map's 95 % band, of the rated flux.
     moved : mapping, optional
         Change of the map by each effect, relative to the rated flux.
+    widening : tuple, optional
+        An effect whose size the recording does not determine, and the band without it.
     """
-    objections = objections_to(judged, verdict, band_percent, moved or {})
+    objections = objections_to(judged, verdict, band_percent, moved or {}, widening)
     return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections), kept.title)
 
 
@@ -104,7 +108,13 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
     )
 
 
-def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved: Mapping[str, float]) -> list[Remark]:
+def objections_to(
+    fit: Fit,
+    verdict: Verdict | None,
+    band_percent: float,
+    moved: Mapping[str, float],
+    widening: tuple[str, float] | None = None,
+) -> list[Remark]:
     """Objections to the use of a fit's map; parameters as in `delivery_of`."""
     limits, against = fit.criteria, []
     if verdict == "cannot_tell":
@@ -125,9 +135,21 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += size_remarks(fit)
     if band_percent > max_percent:
-        text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
-        against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
+        against.append(_uncertain_map(band_percent, widening, max_percent))
     return [one.by(METHOD) for one in against]
+
+
+def _uncertain_map(band_percent: float, widening: tuple[str, float] | None, max_percent: float) -> Remark:
+    text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
+    if widening is None or widening[1] > max_percent:
+        return Remark.of("uncertain_map", text, band_percent=band_percent)
+    name, without_percent = widening
+    text += (
+        " because of {effect} alone, whose size this recording cannot determine; without it, by {without_percent:.2g} %"
+    )
+    return Remark.of(
+        "uncertain_map", text, band_percent=band_percent, effect=plain(name), without_percent=without_percent
+    )
 
 
 def remembering_by_ripple_alone(fit: Fit, moved: Mapping[str, float]) -> list[str]:

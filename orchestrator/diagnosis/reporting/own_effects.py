@@ -1,4 +1,7 @@
-"""What became of the effects that were given beside the installed ones: each that is not in the model has a remark."""
+"""What became of the effects from outside the library: each that is not in the model has a remark.
+
+They were given beside the installed ones, or another distribution installed them.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.determination import undeterminable_words
 from orchestrator.diagnosis.selection.contrasts import inseparable_from
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from orchestrator.formatting.sentences import listed
+from orchestrator.registry.plugins import PluginKind, of_other_distributions
 from protocols import LAYER_CHANGES, RealArray, Remark, SearchEvent, Signals
 
 MAX_NEUTRAL_CHANGE: float = 1e-9
@@ -42,10 +47,11 @@ def own_effect_remarks(
         Effects that need no remark, because another one has their result.
     """
     can_show = {candidate.name for candidate in observable}
+    others = of_other_distributions(PluginKind.EFFECTS)
     remarks = []
     for candidate in candidates:
         name = candidate.name
-        if not is_own(candidate.effect) or name in fit.model.names or name in besides:
+        if name in fit.model.names or name in besides or not (is_own(candidate.effect) or name in others):
             continue
         trials = _trials(name, events)
         if trials:
@@ -153,6 +159,8 @@ def _why_not_fitted(fitter: Fitter, candidate: CandidateEffect, fit: Fit, events
     tied = [plain(term.name) for term in fit.model.active if inseparable_from(fitter, fit, term, [candidate])]
     if tied:
         return f"this recording cannot separate it from {listed(tied)}"
+    if unknown := undeterminable_words(fitter, fit, candidate):
+        return unknown
     screen = next((event for event in reversed(events) if event.move == "screen" and event.effects), None)
     if screen is None:
         return "the search ended before it"

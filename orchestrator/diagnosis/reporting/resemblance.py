@@ -168,8 +168,69 @@ def resembling_pairs(fitter: Fitter, fit: Fit, names: Sequence[str]) -> list[tup
     return pairs
 
 
+@dataclass(frozen=True)
+class NeededPair:
+    """Two effects of a model that resemble each other, and of which neither can take the other's place.
+
+    Attributes
+    ----------
+    names : tuple of str
+    chi2 : float
+        chi2 per degree of freedom of the model with both.
+    chi2_without : tuple of float
+        That of the model refitted without each, in the order of the names.
+    """
+
+    names: tuple[str, str]
+    chi2: float
+    chi2_without: tuple[float, float]
+
+
+def separately_needed(
+    fitter: Fitter, fit: Fit, pairs: Sequence[tuple[str, str]]
+) -> tuple[list[tuple[str, str]], list[NeededPair]]:
+    """The pairs whose sizes are not determined separately, and those of which the data need both.
+
+    Small changes of one are imitated by the other in either case. A refit without one shows whether its whole size is.
+    """
+    least = fit.criteria.selection.log_evidence
+    without: dict[str, Fit] = {}
+    tied, needed = [], []
+    for pair in pairs:
+        for name in pair:
+            if name not in without:
+                rest = fit.model.with_active([a for a in fit.model.active if a.name != name])
+                without[name] = fitter.fit(rest, fit.linearisation)
+        first, second = (without[name] for name in pair)
+        if all(evidence_gain(one, fit) < -least and not fits_as_well(one, fit) for one in (first, second)):
+            needed.append(NeededPair(pair, fit.chi2_per_dof, (first.chi2_per_dof, second.chi2_per_dof)))
+        else:
+            tied.append(pair)
+    return tied, needed
+
+
+def needed_remarks(needed: Sequence[NeededPair]) -> list[Remark]:
+    """A remark, ``both_needed``, for each pair of similar effects of which the data need both."""
+    text = (
+        "{effect} and {other} resemble each other, and the recording needs both: chi2 rises from {chi2} to {first} "
+        "without {effect}, and to {second} without {other}"
+    )
+    return [
+        Remark.of(
+            "both_needed",
+            text,
+            effect=plain(pair.names[0]),
+            other=plain(pair.names[1]),
+            chi2=number(pair.chi2, 3),
+            first=number(pair.chi2_without[0], 3),
+            second=number(pair.chi2_without[1], 3),
+        )
+        for pair in needed
+    ]
+
+
 def pair_remarks(pairs: Sequence[tuple[str, str]]) -> list[Remark]:
-    """A remark, ``resemble_each_other``, for each pair of effects that are both in the model."""
+    """A remark, ``resemble_each_other``, for each pair of effects whose sizes are not determined separately."""
     text = (
         "{effect} and {other} are both in the model and resemble each other: this recording does not determine their "
         "sizes separately; `fluxbench remove` each in turn, and leave out the one without which chi2 rises less"

@@ -126,7 +126,10 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: Import
     _say_time(path, lines, columns, roles, raw)
     _say_drive(path, lines, columns, roles, raw, voltage, drive)
     if drive is None or drive.pwm_frequency_hz is None:
-        lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
+        lines.doubts.append(
+            "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too; segments at "
+            "another one have `settings: {pwm_frequency_hz: 20000}`"
+        )
     most_a, most_v = _MAX_CURRENT_A, _MAX_VOLTAGE_V
     if motor is not None and "rated_current_rms_a" in motor:
         most_a = _MAX_RATED_RATIO * motor["rated_current_rms_a"]
@@ -155,12 +158,23 @@ def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
                 f"the file has {len(columns.names)}:"
             )
             named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in variables]
+            if what == "voltages" and not set(columns.names) - set(_of_roles(roles)):
+                problem = (
+                    "has currents and no voltages: log the drive's commanded voltages or duties in the same rows, or "
+                    "import their file beside this one (`beside` in docs/import.md); the file has"
+                )
             if columns.names == ["Time", "Ampl"]:
                 problem = "one file per channel (LeCroy): add the other files by an entry of files with beside; it has"
             raise InputError(str(path), "", problem, named)
     assert roles.current is not None
     assert roles.voltage is not None
     return roles.current, roles.voltage
+
+
+def _of_roles(roles: Roles) -> list[str]:
+    """The columns whose names say what they are."""
+    signals = [signal for signal in (roles.current, roles.voltage) if signal is not None]
+    return [*roles.one.values(), *(name for signal in signals for name in signal.columns.values())]
 
 
 def _read(path: Path, columns: Columns, roles: Roles, *signals: Signal) -> dict[str, Numbers]:

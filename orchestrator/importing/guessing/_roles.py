@@ -96,8 +96,11 @@ def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings
 
 
 def _named(plain: Mapping[str, str], quantity: str, axis: str, suffix: str) -> str | None:
-    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``, ``van``; commands before measured values."""
+    """The column of an axis: ``ia``, ``current_phase_a``, ``van``, ``Soll_Ud``; commands before measured values."""
     middle = r"(?:phase|ph|s|l)?"
-    pattern = rf"{quantity}{middle}{axis}n?{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
+    pattern = (
+        rf"{quantity}{middle}{axis}n?{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
+        rf"|{suffix}{quantity}{middle}{axis}n?"
+    )
     found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]
     return max(found, key=lambda name: len(plain[name]) * ("ref" in suffix), default=None)

@@ -230,7 +230,7 @@ def discover(
     name : str, optional
         Name of the effect; the file's by default, or ``learned_law``.
     without : sequence of str
-        Effects left out of the library, as in `diagnose`.
+        Effects left out of the library, as in `diagnose`, and taken out of the diagnosis' model.
     tell : callable
         Called with the current step, in a few words.
 
@@ -256,8 +256,8 @@ def discover(
     if diagnosis is None or not has_model(directory):
         diagnosis = diagnose(place, effects=effects, without=without, out=out, tell=tell)
     model = read_model(directory) if has_model(directory) else None
-    every = [effect for effect in library if effect.name not in without]
-    found = discover_laws(open_any(Path(place)), every, model, diagnosis.report, name=called, tell=tell)
+    recording = open_any(Path(place))
+    found = discover_laws(recording, library, model, diagnosis.report, name=called, without=without, tell=tell)
     save_discovery(directory, found)
     if target is not None:
         write_law(target, found)

@@ -31,6 +31,7 @@ def tune(
     bus_v: float | None = None,
     speed_rpm: float | None = None,
     sampling_hz: float | None = None,
+    pwm_hz: float | None = None,
     magnet_percent_per_k: float | None = None,
     effects: Effects = (),
 ) -> TuningReport:
@@ -51,7 +52,9 @@ def tune(
     speed_rpm : float, optional
         Largest mechanical speed [1/min]; by default the rated one.
     sampling_hz : float, optional
-        Frequency of the current control [Hz]; by default the recording's PWM frequency.
+        Frequency of the current control [Hz]; by default the PWM's. Its delay follows from it.
+    pwm_hz : float, optional
+        PWM frequency [Hz]; by default the recording's. The inverter's loss follows from it.
     magnet_percent_per_k : float, optional
         Change of the magnet's flux over its temperature [%/K], such as -0.11 of neodymium, for code with that argument.
     effects : path, effect, or sequence of effects
@@ -77,7 +80,13 @@ def tune(
     flux_map = with_magnet(flux_map, chosen)
     manifest, model, std, remarks = _context(path)
     drive = None if manifest is None else manifest.drive
-    limits_given = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    limits_given = {
+        "current_a": current_a,
+        "bus_v": bus_v,
+        "speed_rpm": speed_rpm,
+        "sampling_hz": sampling_hz,
+        "pwm_hz": pwm_hz,
+    }
     require_known(path, chosen, flux_map, drive, limits_given)
     ohm = chosen.stator_resistance_ohm
     assert ohm is not None
@@ -92,7 +101,7 @@ def tune(
             chosen_effects(effects),
             manifest,
             limits.current_a,
-            pwm_frequency_hz=limits.sampling_hz,
+            pwm_frequency_hz=limits.pwm_hz,
             clarke_of_three=_clarke_of_three(path),
         )
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))

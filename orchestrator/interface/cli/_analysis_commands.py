@@ -16,11 +16,12 @@ from orchestrator.interface.cli._options import (
     RecordingArgument,
 )
 from orchestrator.interface.cli._output import announce
+from orchestrator.interface.cli.help_text import DIAGNOSE
 
 commands = typer.Typer()
 
 
-@commands.command("estimate", epilog="Example: fluxbench estimate runs/first")
+@commands.command("estimate", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench estimate runs/first")
 def estimate_command(
     recording: RecordingArgument,
     out: Annotated[
@@ -42,7 +43,7 @@ def estimate_command(
     return estimate(recording, out, estimators or [], as_json)
 
 
-@commands.command("compare", epilog="Example: fluxbench compare runs/first --model saturated")
+@commands.command("compare", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench compare runs/first --model saturated")
 def compare_command(
     recordings: Annotated[list[Path], typer.Argument(help="One recording or run, or several.", metavar="RECORDING...")],
     model: ModelOption = None,
@@ -75,7 +76,7 @@ def compare_command(
     return compare(recordings[0], model, effects, out, as_json)
 
 
-@commands.command("diagnose", epilog="Example: fluxbench diagnose runs/first")
+@commands.command("diagnose", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench diagnose runs/first")
 def diagnose_command(
     recording: RecordingArgument,
     model: ModelOption = None,
@@ -107,7 +108,7 @@ def diagnose_command(
     return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)
 
 
-@commands.command("explain", epilog="Example: fluxbench explain runs/first")
+@commands.command("explain", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench explain runs/first")
 def explain_command(
     run: DiagnosedArgument,
     steps: Annotated[bool, typer.Option("--steps", help="List every step of the search, with its gain.")] = False,
@@ -122,7 +123,7 @@ def explain_command(
     return explain(run, steps, as_json)
 
 
-@commands.command("discover", epilog="Example: fluxbench discover runs/first --write mine.py")
+@commands.command("discover", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench discover runs/first --write mine.py")
 def discover_command(
     recording: RecordingArgument,
     write: Annotated[
@@ -147,7 +148,7 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add", epilog="Example: fluxbench add runs/first hysteresis")
+@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/first hysteresis")
 def add_command(
     recording: RecordingArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
@@ -166,7 +167,7 @@ def add_command(
     return add(recording, effect, model, effects, out, as_json)
 
 
-@commands.command("remove", epilog="Example: fluxbench remove runs/first hysteresis")
+@commands.command("remove", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench remove runs/first hysteresis")
 def remove_command(
     recording: RecordingArgument,
     effect: Annotated[str, typer.Argument(help="Name of the effect.", metavar="EFFECT")],

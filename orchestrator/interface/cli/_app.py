@@ -9,7 +9,7 @@ import typer.core
 
 from orchestrator.interface.cli import _analysis_commands, _bench_commands, _file_commands
 from orchestrator.interface.cli._foreign import is_foreign
-from orchestrator.interface.cli.help_text import with_plain_help
+from orchestrator.interface.cli.help_text import with_plain_help, write_commands
 
 ENERGISING = ("run", "resume")
 
@@ -26,6 +26,11 @@ class _Commands(typer.core.TyperGroup):
         if callable(ctx.obj) and not is_foreign(command[0]):
             ctx.obj(command[0] in ENERGISING)
         return command
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of commands in groups."""
+        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
+        write_commands([(name, command) for name, command in commands if command and not command.hidden], formatter)
 
     def invoke(self, ctx: Any) -> Any:
         try:

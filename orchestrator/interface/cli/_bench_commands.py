@@ -25,6 +25,7 @@ from orchestrator.interface.cli._options import (
     StreamOption,
     ViewOption,
 )
+from orchestrator.interface.cli.help_text import MEASURE
 
 commands = typer.Typer()
 
@@ -37,7 +38,9 @@ def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: 
         announce_loading(name, aside=as_json or log == "json")
 
 
-@commands.command("run", epilog="Example: fluxbench run demo --out runs/first --set limits.current_a=4.8")
+@commands.command(
+    "run", rich_help_panel=MEASURE, epilog="Example: fluxbench run demo --out runs/first --set limits.current_a=4.8"
+)
 def run_command(
     procedure: Annotated[
         str | None,
@@ -120,7 +123,7 @@ def run_command(
     return run_further(source, rounds or 1, audience, effects)
 
 
-@commands.command("resume", epilog="Example: fluxbench resume runs/first")
+@commands.command("resume", rich_help_panel=MEASURE, epilog="Example: fluxbench resume runs/first")
 def resume_command(
     path: RunArgument,
     junit: JunitOption = None,
@@ -154,7 +157,7 @@ def _check_options(log: str, remote: str | None, unattended: str | None, junit: 
         require_file_place(junit, "--junit")
 
 
-@commands.command("check", epilog="Example: fluxbench check demo --motor motor.yaml")
+@commands.command("check", rich_help_panel=MEASURE, epilog="Example: fluxbench check demo --motor motor.yaml")
 def check_command(
     procedure: ProcedureArgument,
     drive: DriveOption = None,
@@ -183,7 +186,9 @@ def check_command(
     return check(procedure, drive, motor, settings or [], as_json, rehearsal)
 
 
-@commands.command("design", epilog="Example: fluxbench design demo hysteresis --out shortest.yaml")
+@commands.command(
+    "design", rich_help_panel=MEASURE, epilog="Example: fluxbench design demo hysteresis --out shortest.yaml"
+)
 def design_command(
     procedure: ProcedureArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],

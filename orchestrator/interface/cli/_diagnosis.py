@@ -20,6 +20,7 @@ from orchestrator.formatting.results import (
     NOISE_FLOOR_MEANING,
     REFIT_MEANING,
     benefit_line,
+    by_import,
     has_other_chi2,
     ladder_rows,
     parameter_rows,
@@ -34,6 +35,7 @@ from orchestrator.interface.cli._interrupting import Interruption, prompt_interr
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.interface.cli._refreshing import refresh_report
 from orchestrator.interface.cli._results import in_capitals
+from orchestrator.runs import is_run
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 if TYPE_CHECKING:
@@ -169,7 +171,9 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     say(*accuracy_sentences(report))
     say_notes(report.notes)
     if report.next_experiment is not None:
-        say(f"to decide, as a stage of a procedure (`fluxbench run --from {path}` measures it into a run itself):")
+        run = shlex.quote(str(path))
+        how = f"`fluxbench run --from {run}` measures it into a run itself" if is_run(path) else by_import(run)
+        say(f"to decide, as a stage of a procedure ({how}):")
         say(stage_as_yaml(report.next_experiment.stage))
     if report.verdict in ("unknown_remains", "mostly_explained"):
         say(f"`fluxbench discover {path}` looks for the law that is missing, and writes it as an effect.")
@@ -179,7 +183,7 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     """Print R_s and the map of the diagnosis, or why the map is not reliable."""
     if estimates.usable and estimates.resistance is not None:
         say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
-        say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
+        say_notes(r.text for r in estimates.remarks if r.code in ("far_from_nameplate", "common_factor"))
         return
     why = next((r.text for r in estimates.remarks), "no estimator succeeded")
     say(f"flux map: {in_capitals(estimates.usability)}: {why}")

@@ -18,9 +18,12 @@ from orchestrator.interface.cli._output import say, say_document, say_notes, say
 
 if TYPE_CHECKING:
     from orchestrator.discovery import Discovery, FoundLaw
+    from orchestrator.discovery.report import RankedHypothesis
 
 RANKED_ROWS = 6
 """Rows of the table of places."""
+MIN_SHARE_OF_RIVAL = 0.5
+"""Part of the error that a row removes, over the first one's, from which a measurement has to tell the two apart."""
 RANKING_NOTES = (
     "place is where a law acts in the motor's equations, over the quantity that it depends on; odd, even or none is "
     "the symmetry of its curve",
@@ -128,31 +131,38 @@ def library_advice(path: Path, law: FoundLaw, given: Given) -> list[str]:
 
 def next_steps(path: Path, found: Discovery) -> list[str]:
     """What to measure or try where there is no law."""
+    from orchestrator.diagnosis import CROSS_SATURATION, SATURATION
+    from orchestrator.discovery.separation import least_alike
+
     run = shlex.quote(str(path))
     if found.outcome != "no_law":
-        return [f"next: `fluxbench explain {run}` has the reasons of the verdict"]
-    best = found.ranking[0] if found.ranking else None
-    where = "over a wider range of current, and at a second rotor angle and PWM frequency"
-    if best is not None and best.share > 0.0:
-        share = f"{100.0 * best.share:.0f} % of the error"
-        where = f"over a wider range of {plain(best.quantity)}: {plain(best.place)} over it removes {share}, the most"
-        where += f"; {wider(best.quantity)}"
-    return [
-        f"to measure next: the same {where}; `fluxbench diagnose` of the new recording, then `discover` again",
+        steps = [f"next: `fluxbench explain {run}` has the reasons of the verdict"]
+        if causes := [name for name in found.kept_effects if name not in (SATURATION, CROSS_SATURATION)]:
+            steps.append(
+                f"if you doubt a named cause ({listed([plain(name) for name in causes])}): "
+                f"`fluxbench discover {run} --without {causes[0]}` looks for a law in its place"
+            )
+        return steps
+    steps = []
+    if found.ranking:
+        first = found.ranking[0]
+        steps.append(
+            f"no place fits: the first row, {_in_words(first)}, removes {100.0 * first.share:.0f} % of the error to "
+            "first order, but no law there halves the held-out error; neither its place nor its phase is certain"
+        )
+        if apart := least_alike(found.ranking, MIN_SHARE_OF_RIVAL):
+            rival, measurement = apart
+            steps.append(f"to measure next: {measurement}; that tells the first row from {_in_words(rival)}")
+    steps.append(
         f"to try next: `fluxbench compare {run}` shows where the error is; `fluxbench new effect NAME` begins a law of "
-        "your own",
-    ]
+        "your own"
+    )
+    return steps
 
 
-def wider(quantity: str) -> str:
-    """How a procedure measures a wider range of a quantity."""
-    if quantity in ("time", "heat"):
-        return "a longer stage does it, `{kind: resistance, duration_s: 60}`, or `anchor: true` on one before and after"
-    if quantity == "rotor_angle":
-        return "lock the rotor at a second angle and measure a second run"
-    if quantity == "link_voltage":
-        return "a second run at another bus voltage does it"
-    return "a larger `--set limits.current_a=...` does it, within what the motor bears"
+def _in_words(one: RankedHypothesis) -> str:
+    phase = f" in phase {one.phase}" if one.phase else ""
+    return f"{plain(one.place)} over {plain(one.quantity)}{phase}"
 
 
 def _options(given: Given) -> str:

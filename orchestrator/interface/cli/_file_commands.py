@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from orchestrator.interface.cli._options import EffectsOption, JsonOption, RunArgument
+from orchestrator.interface.cli.help_text import LOOK_UP, RECORDINGS, USE
 
 commands = typer.Typer()
 
 
-@commands.command("export", epilog="Example: fluxbench export runs/first")
+@commands.command("export", rich_help_panel=USE, epilog="Example: fluxbench export runs/first")
 def export_command(
     path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
     formats: Annotated[
@@ -32,7 +33,7 @@ def export_command(
     return export(path, formats or [], motor, out, as_json)
 
 
-@commands.command("tune", epilog="Example: fluxbench tune runs/first --speed-rpm 4000")
+@commands.command("tune", rich_help_panel=USE, epilog="Example: fluxbench tune runs/first --speed-rpm 4000")
 def tune_command(
     path: Annotated[Path, typer.Argument(help="A run or recording with a flux map; or a map file.", metavar="RUN")],
     out: Annotated[
@@ -49,7 +50,14 @@ def tune_command(
         float | None, typer.Option(help="Largest speed, mechanical [1/min]; by default the rated one.")
     ] = None,
     sampling_hz: Annotated[
-        float | None, typer.Option(help="Frequency of the current control [Hz]; by default the PWM's.")
+        float | None,
+        typer.Option(
+            help="Frequency of the current control [Hz], twice the PWM's with a double update; by default the PWM's."
+        ),
+    ] = None,
+    pwm_hz: Annotated[
+        float | None,
+        typer.Option(help="PWM frequency, which the inverter's loss follows [Hz]; by default the recording's."),
     ] = None,
     magnet_percent_per_k: Annotated[
         float | None,
@@ -66,10 +74,12 @@ def tune_command(
     """
     from orchestrator.interface.cli._tuning import tune
 
-    return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, magnet_percent_per_k, effects, as_json)
+    return tune(
+        path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, pwm_hz, magnet_percent_per_k, effects, as_json
+    )
 
 
-@commands.command("audit", epilog="Example: fluxbench audit runs/first")
+@commands.command("audit", rich_help_panel=USE, epilog="Example: fluxbench audit runs/first")
 def audit_command(
     path: Annotated[
         Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
@@ -95,7 +105,9 @@ def audit_command(
     return audit(path, motor, repair, picture, as_json)
 
 
-@commands.command("import", epilog="Example: fluxbench import mapping.yaml log.csv --out recordings/mine")
+@commands.command(
+    "import", rich_help_panel=RECORDINGS, epilog="Example: fluxbench import mapping.yaml log.csv --out recordings/mine"
+)
 def import_command(
     files: Annotated[
         list[Path],
@@ -117,7 +129,11 @@ def import_command(
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Import measurements of other tools as a recording."""
+    """Import measurements of other tools as a recording.
+
+    The mapping states name, motor, drive, time, current, voltage and segments, each with its columns and units. --guess
+    writes one for a file; `fluxbench schema mapping` lists its fields, and docs/import.md explains them.
+    """
     from orchestrator.interface.cli._exchange import guess_import, import_, merge_import, require_import_files
 
     if guess:
@@ -131,7 +147,7 @@ def import_command(
     return import_(files[0], files[1:], out, as_json)
 
 
-@commands.command("runs", epilog="Example: fluxbench runs finished")
+@commands.command("runs", rich_help_panel=RECORDINGS, epilog="Example: fluxbench runs finished")
 def runs_command(
     words: Annotated[
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
@@ -165,7 +181,9 @@ def runs_command(
     return list_runs(folder, options)
 
 
-@commands.command("note", epilog="Example: fluxbench note runs/first 'new brake' --tag bench2")
+@commands.command(
+    "note", rich_help_panel=RECORDINGS, epilog="Example: fluxbench note runs/first 'new brake' --tag bench2"
+)
 def note_command(
     path: RunArgument,
     notes: Annotated[list[str] | None, typer.Argument(help="Notes to add.", metavar="NOTE")] = None,
@@ -184,7 +202,7 @@ def note_command(
     return note(path, notes or [], tags or [], untag or [], as_json)
 
 
-@commands.command("new", epilog="Example: fluxbench new effect lagging_drop")
+@commands.command("new", rich_help_panel=LOOK_UP, epilog="Example: fluxbench new effect lagging_drop")
 def new_command(
     kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.", metavar="KIND")],
     name: Annotated[
@@ -202,7 +220,7 @@ def new_command(
     return new(kind, name, out, as_json)
 
 
-@commands.command("plugins", epilog="Example: fluxbench plugins")
+@commands.command("plugins", rich_help_panel=LOOK_UP, epilog="Example: fluxbench plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
     """List the installed plugins, and whether each loads.
 
@@ -213,7 +231,7 @@ def plugins_command(as_json: JsonOption = False) -> int:
     return plugins(as_json)
 
 
-@commands.command("procedures", epilog="Example: fluxbench procedures demo")
+@commands.command("procedures", rich_help_panel=LOOK_UP, epilog="Example: fluxbench procedures demo")
 def procedures_command(
     name: Annotated[
         str | None, typer.Argument(help="Print this procedure, as a template for your own.", metavar="NAME")
@@ -226,21 +244,23 @@ def procedures_command(
     return procedures(name, as_json)
 
 
-@commands.command("effects", epilog="Example: fluxbench effects")
+@commands.command("effects", rich_help_panel=LOOK_UP, epilog="Example: fluxbench effects")
 def effects_command(
     name: Annotated[str | None, typer.Argument(help="Describe this effect alone.", metavar="[EFFECT]")] = None,
+    effects: EffectsOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """List the physical effects of the library, or describe one.
 
-    With EFFECT: what it is, how it shows, its parameters, and what to do at the bench.
+    With EFFECT: what it is, how it shows, its parameters, and what to do at the bench. With --effects, those of that
+    file too.
     """
-    from orchestrator.interface.cli._inspect import effects
+    from orchestrator.interface.cli import _inspect
 
-    return effects(name, as_json)
+    return _inspect.effects(name, effects, as_json)
 
 
-@commands.command("schema", epilog="Example: fluxbench schema motor --table")
+@commands.command("schema", rich_help_panel=LOOK_UP, epilog="Example: fluxbench schema motor --table")
 def schema_command(
     name: Annotated[
         str,

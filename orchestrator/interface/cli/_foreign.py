@@ -36,7 +36,8 @@ def with_plugin_commands(app: typer.Typer, arguments: Sequence[str] = ()) -> typ
     whole.registered_commands = own if is_known else list(app.registered_commands)
     for entry in foreign if is_known else entries:
         settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-        add = whole.command(entry.name, help=summary_of(entry), context_settings=settings)
+        summary, group = described(entry)
+        add = whole.command(entry.name, help=summary, rich_help_panel=group, context_settings=settings)
         add(_command(entry))
     return whole
 
@@ -46,20 +47,36 @@ def is_foreign(name: str | None) -> bool:
     return any(entry.name == name for entry in entries_of(GROUP))
 
 
-def summary_of(entry: EntryPoint) -> str:
-    """The first line of the docstring of a command's module, without "`fluxbench NAME`:" before it.
+def described(entry: EntryPoint) -> tuple[str, str]:
+    """A command's summary, and its group in the list.
 
-    The source is parsed, never run; where there is none, or no docstring in it, the distribution is named.
+    They are the first line of its module's docstring, without "`fluxbench NAME`:" before it, and the text that the
+    module assigns to `HELP_GROUP`. The source is parsed, never run; where there is none, or no docstring in it, the
+    distribution is named.
     """
     source = _source_of(entry.module)
     try:
-        docstring = ast.get_docstring(ast.parse(source.read_bytes())) if source is not None else None
+        module = ast.parse(source.read_bytes()) if source is not None else ast.Module([], [])
     except (OSError, SyntaxError, ValueError):
-        docstring = None  # the command itself reports the error
+        module = ast.Module([], [])  # the command itself reports the error
+    docstring, group = ast.get_docstring(module), _assigned_text(module, "HELP_GROUP")
     if not docstring:
-        return f"A plugin's, from {entry.dist.name if entry.dist else '?'}."
+        return f"A plugin's, from {entry.dist.name if entry.dist else '?'}.", group
     line = re.sub(r"^[^`:]*`+fluxbench [^`]*`+: *", "", docstring.splitlines()[0])
-    return line[:1].upper() + line[1:]
+    return line[:1].upper() + line[1:], group
+
+
+def _assigned_text(module: ast.Module, name: str) -> str:
+    """The text that a module assigns to a name; empty where it assigns none."""
+    values = {
+        target.id: node.value.value
+        for node in module.body
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    value = values.get(name)
+    return value if isinstance(value, str) else ""
 
 
 def _source_of(module: str) -> Path | None:

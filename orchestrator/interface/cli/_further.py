@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.formatting.names import plain
+from orchestrator.formatting.results import by_import
 from orchestrator.interface import api
 from orchestrator.interface.cli._diagnosis import diagnose
 from orchestrator.interface.cli._output import say_document, say_notes, stage_as_yaml
@@ -71,7 +73,10 @@ def continuation(source: Path, rounds: int, effects: Path | None = None) -> Cont
     experiment = report.next_experiment.stage
     if not is_run(path):
         say_document(stage_as_yaml(experiment))
-        problem = "missing: the drive of this recording is unknown; put the stage above in a procedure"
+        problem = (
+            "missing: a recording without a run, whose drive is unknown; put the stage above in a procedure, or "
+            f"{by_import(shlex.quote(str(path)))}"
+        )
         raise RecordingError(str(path), "run.json", problem)
     own = _effects_file(path, report.next_experiment, effects)
     procedure = RunDirectory.open(path).procedure()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
@@ -66,23 +67,30 @@ def procedures(name: str | None, as_json: bool) -> int:
     return 0
 
 
-def effects(name: str | None, as_json: bool) -> int:
-    """List the physical effects of the library, or describe one."""
+def effects(name: str | None, file: Path | None, as_json: bool) -> int:
+    """List the physical effects of the library and of a file of one's own, or describe one."""
+    library = _library(file)
     if name is not None:
-        return _describe_effect(name, as_json)
-    plugins = {info.name: load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)}
-    _list({name: str(getattr(plugin, "summary", "")) for name, plugin in plugins.items()}, as_json)
+        if name.replace(" ", "_") not in library:
+            raise InputError("effects", name, f"no such effect; {suggestion(name, library)}")
+        return _describe_effect(library[name.replace(" ", "_")], as_json)
+    _list({name: str(getattr(effect, "summary", "")) for name, effect in library.items()}, as_json)
     return 0
 
 
-def _describe_effect(name: str, as_json: bool) -> int:
+def _library(file: Path | None) -> dict[str, Any]:
+    """The installed effects, and those of a file, by name."""
+    if file is None:
+        return {info.name: load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)}
+    from orchestrator.interface.api import chosen_effects
+
+    return {effect.name: effect for effect in chosen_effects(file)}
+
+
+def _describe_effect(effect: Any, as_json: bool) -> int:
     """Print an effect's meaning, pattern and parameters, what tells it from others, and what to do about it."""
     from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 
-    names = {info.name for info in installed(PluginKind.EFFECTS)}
-    if name.replace(" ", "_") not in names:
-        raise InputError("effects", name, f"no such effect; {suggestion(name, names)}")
-    effect = load_plugin(PluginKind.EFFECTS, name.replace(" ", "_"))
     rows = [
         (p.name, p.role.value, p.unit, number(p.typical, 3), f"{number(p.low, 3)} to {number(p.high, 3)}")
         for p in effect.Parameters.declared()
@@ -106,15 +114,18 @@ def _describe_effect(name: str, as_json: bool) -> int:
 
 
 BENCH_ADVICE: Mapping[EffectLayer, str] = {
-    EffectLayer.CURRENT_SENSORS: "calibrate the current sensors with a reference ammeter, and without current",
-    EffectLayer.DELAY: "look up when the drive samples and when its voltage takes effect, and the sensors' filters",
-    EffectLayer.BUS: "measure the bus under load at the drive's terminals; shorten its leads or log it faster",
-    EffectLayer.INVERTER: "compare with the dead time that is set and the switches' data sheet",
-    EffectLayer.RESISTANCE: "measure the winding with an ohmmeter, cold and warm; log its temperature, leave pauses",
+    EffectLayer.CURRENT_SENSORS: "compare the current readings with a reference ammeter, and without current",
+    EffectLayer.DELAY: "look up when the drive samples, when its voltage takes effect, and its filters",
+    EffectLayer.BUS: "measure the bus under load at the drive's terminals, and compare with its reading",
+    EffectLayer.INVERTER: "measure between the motor's terminals under current, and compare with the commanded voltage",
+    EffectLayer.RESISTANCE: "measure between the motor's terminals with four wires, cold and warm",
     EffectLayer.FRAME: "look at the coupling and brake of the locked rotor and at the encoder's offset; align again",
-    EffectLayer.IRON: "nothing to mend: it is of the motor, and stays in its model",
+    EffectLayer.IRON: "nothing to mend where it is of the motor: it stays in its model",
 }
-"""What an engineer looks at, by the place where an effect acts; one with advice of its own has `at_the_bench`."""
+"""What an engineer looks at, by the place where an effect acts; one with advice of its own has `at_the_bench`.
+
+A line holds for any effect of its layer, also for one that is not the library's.
+"""
 
 
 def _list(summaries: Mapping[str, str], as_json: bool) -> None:

@@ -22,12 +22,19 @@ def tune(
     bus_v: float | None,
     speed_rpm: float | None,
     sampling_hz: float | None,
+    pwm_hz: float | None,
     magnet_percent_per_k: float | None,
     effects: Path | None,
     as_json: bool,
 ) -> int:
     """Write references, gains, compensation and C code into a folder, and print the main figures."""
-    limits = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    limits = {
+        "current_a": current_a,
+        "bus_v": bus_v,
+        "speed_rpm": speed_rpm,
+        "sampling_hz": sampling_hz,
+        "pwm_hz": pwm_hz,
+    }
     folder = out or (path if path.is_dir() else path.parent) / "tuning"
     is_replaced = (folder / "tuning.json").is_file()
     report = api.tune(

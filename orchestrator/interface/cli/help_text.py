@@ -1,12 +1,18 @@
-"""Help in plain words: the names of arguments as they are in the usage, without the types that typer adds."""
+"""Help in plain words: commands in groups, and the names of arguments without the types that typer adds."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import typer.core
 
+MEASURE, DIAGNOSE, USE = "Measure", "Estimate and find what is missing", "Use the results"
+RECORDINGS, LOOK_UP, TRY = "Recordings and runs", "Look up and extend", "Try and prove"
+OTHERS = "Others"
+GROUPS = (MEASURE, DIAGNOSE, USE, RECORDINGS, LOOK_UP, TRY, OTHERS)
+"""Titles of the list of commands, in order; a command without one of them is among the others."""
 _TYPE = re.compile(r" <([^>]*)>$")
 _VALUES = {"path": "PATH", "int": "N", "int range": "N", "float": "NUMBER", "float range": "NUMBER"}
 """What an option's value is called, by typer's word for its type."""
@@ -29,6 +35,20 @@ class PlainCommand(typer.core.TyperCommand):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def write_commands(commands: Sequence[tuple[str, Any]], formatter: Any) -> None:
+    """Write the commands (name, command) with their summaries, a section for each group."""
+    widest = max((len(name) for name, _ in commands), default=0)
+    limit = formatter.width - 6 - widest
+    grouped: dict[str, list[tuple[str, str]]] = {title: [] for title in GROUPS}
+    for name, command in commands:
+        group = getattr(command, "rich_help_panel", None)
+        grouped[group if group in grouped else OTHERS].append((name.ljust(widest), command.get_short_help_str(limit)))
+    for title, rows in grouped.items():
+        if rows:
+            with formatter.section(title):
+                formatter.write_dl(rows)
 
 
 def _named(name: str, kind: str) -> str:

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from plugins.drives.simulated import SimulatedOptions
     from protocols import Motor
 
+HELP_GROUP = "Try and prove"
+"""Its place in the list of commands."""
+
+
 Part = Annotated[
     float,
     typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames that this happens to, in each direction."),

@@ -13,6 +13,9 @@ from plugins.commands.fleet._damage import SkipDamaged, exit_code
 from plugins.commands.fleet._report import report
 from plugins.commands.fleet._run import run
 
+HELP_GROUP = "Recordings and runs"
+"""Its place in the list of commands."""
+
 
 class _RunUnlessNamed(typer.core.TyperGroup):
     """A group that passes arguments without a command's name to `run`."""

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from plugins.commands.mystery._guessing import Effects, GuessedSize, Verdict
     from protocols import Procedure
 
+HELP_GROUP = "Try and prove"
+"""Its place in the list of commands."""
+
+
 FORM_MEANING = (
     "* of the simulated motor's own formula. The library's formulas are written independently: of another curve the "
     "best value is another, and may lie outside the diagnosis' interval."

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from plugins.commands.probe._finding import Found, LinkName
     from protocols import DriveError
 
+HELP_GROUP = "Measure"
+"""Its place in the list of commands."""
+
 
 NO_RIPPLE = "not demodulated on the drive"
 

@@ -10,6 +10,9 @@ import typer
 from plugins.command_line import entry_point
 from protocols import InputError
 
+HELP_GROUP = "Try and prove"
+"""Its place in the list of commands."""
+
 
 def reproduce(
     run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.", metavar="RUN")] = Path(

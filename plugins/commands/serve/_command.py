@@ -9,6 +9,10 @@ import typer
 
 from plugins.command_line import entry_point
 
+HELP_GROUP = "Measure"
+"""Its place in the list of commands."""
+
+
 HOST = "127.0.0.1"
 
 

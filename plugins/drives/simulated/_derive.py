@@ -101,6 +101,14 @@ def bus_voltage(options: SimulatedOptions, nameplate: Nameplate) -> float:
     return 2.0 * SQRT3 * nameplate.rated_voltage_v
 
 
+def bus_notes(options: SimulatedOptions, motor: Motor, dc_bus_v: float) -> tuple[str, ...]:
+    """A note on a bus voltage that follows from the nameplate; none for the procedures' own example motor."""
+    if options.dc_bus_voltage_v is not None or getattr(motor, "example", False):
+        return ()
+    text = f"simulated with a bus of {dc_bus_v:.4g} V, twice the rated voltage's peak between lines"
+    return (f"{text}: state drive.dc_bus_voltage_v where yours differs",)
+
+
 def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> TruePlant:
     """The plant's energy, parameters and sensors.
 

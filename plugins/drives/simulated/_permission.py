@@ -27,7 +27,9 @@ class Permission:
     """Largest electrical rotor angle between two rows [rad]."""
 
     @classmethod
-    def of(cls, options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, bus_v: float) -> Permission:
+    def of(
+        cls, options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, bus_v: float, notes: tuple[str, ...]
+    ) -> Permission:
         """Limits by the options, or else by the nameplate."""
         pwm = options.pwm_frequency_hz or options.sampling_frequency_hz
         table = plant.table
@@ -52,7 +54,7 @@ class Permission:
             interlocks=options.interlocks,
             simulated=True,
             motor_name=table.motor.name if table is not None and table.motor is not None else None,
-            notes=(describe_misfit(table, plant.magnetics),) if table is not None else (),
+            notes=(*notes, *((describe_misfit(table, plant.magnetics),) if table is not None else ())),
         )
         return cls(capabilities, plant.reach_positive_d_a)
 

@@ -14,7 +14,7 @@ from typing import ClassVar
 from orchestrator.driving import refuse_excitation
 from plugins.drives.simulated import _memory
 from plugins.drives.simulated._bench import Bench
-from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
+from plugins.drives.simulated._derive import Nameplate, bus_notes, bus_voltage, derive, read_nameplate
 from plugins.drives.simulated._permission import Permission
 from plugins.drives.simulated._program import DRAIN_S, Planner, Program, Stretch, tune
 from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece
@@ -64,7 +64,7 @@ class Rig:
         self.own_nameplate = self.nameplate = read_nameplate(motor)
         bus_v = bus_voltage(options, self.nameplate)
         plant = derive(options, self.nameplate, bus_v)
-        self.permission = Permission.of(options, self.nameplate, plant, bus_v)
+        self.permission = Permission.of(options, self.nameplate, plant, bus_v, bus_notes(options, motor, bus_v))
         self.bench = Bench(options.plant, seed)
         rest, fs = self.bench.rest_angle(), options.sampling_frequency_hz
         self.simulator = Simulator(plant, fs, seed, rest, thermometer=options.thermometer)

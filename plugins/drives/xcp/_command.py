@@ -10,6 +10,10 @@ import typer
 
 from plugins.command_line import entry_point
 
+HELP_GROUP = "Look up and extend"
+"""Its place in the list of commands."""
+
+
 NAMES = ("fluxbench_config.h", "fluxbench_xcp.h", "fluxbench_xcp.c")
 
 

@@ -12,6 +12,9 @@ from orchestrator.runs import RunDirectory, is_run, without_private
 from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
+HELP_GROUP = "Use the results"
+"""Its place in the list of commands."""
+
 
 def report(
     directories: Annotated[

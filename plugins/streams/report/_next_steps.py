@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, in_degrees, operating_point, predicted_separation, quantity
+from orchestrator.formatting.results import by_import
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
@@ -59,6 +60,8 @@ def _about_model(material: Material) -> str:
         first, second = map(plain, proposed.separates)
         takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
         measure = f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
+        if material.manifest is not None and material.record is None:
+            measure = f"{takes} more tell {first} from {second}{how_far}: {by_import(run)}."
         return f"{certain}; then {measure}" if (certain := _certain_remedy(material)) else measure
     if report.verdict == "clean":
         return "nothing is missing in it."

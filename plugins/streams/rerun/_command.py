@@ -20,6 +20,10 @@ from protocols import FluxbenchError, InputError, PluginError, RecordingError
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
 
+HELP_GROUP = "Use the results"
+"""Its place in the list of commands."""
+
+
 MEMORY_LIMIT = "4GB"
 SUFFIX = ".rrd"
 MAX_NAMES = 8

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import check_plan, load_motor, load_procedure, make_plan, read_procedure
-from protocols import CapabilityError, Procedure, ProcedureError, shipped_procedure, shipped_procedures
+from protocols import CapabilityError, PluginError, Procedure, ProcedureError, shipped_procedure, shipped_procedures
 
 TEXT = """\
 format: fluxbench-procedure
@@ -321,7 +321,11 @@ def test_a_motor_file_goes_over_the_nameplate_and_the_limits(write: Write) -> No
 def test_a_simulated_drive_forgets_the_example_motor_once_there_is_another(write: Write, tmp_path: Path) -> None:
     loaded = read_procedure("demo", motor=write(SERVO), overrides=["drive.plant.sensors.noise_a=0.1"])
     assert loaded.procedure.drive.options == {"plant": {"sensors": {"noise_a": 0.1}}}
-    assert loaded.notes == ("drive.plant is the example motor's and left out: drive simulated follows the nameplate",)
+    left_out, bus = loaded.notes
+    assert left_out == "drive.plant is the example motor's and left out: drive simulated follows the nameplate"
+    assert bus.startswith("drive.dc_bus_voltage_v is not given: drive simulated takes the bus from the rated voltage")
+    given = read_procedure("demo", motor=write(SERVO), overrides=["drive.dc_bus_voltage_v=48"])
+    assert given.notes == (left_out,)
     own = write(SERVO + "drive: {name: simulated, plant: {inverter: switched}}\n")
     assert load_procedure("demo", motor=own).drive.options == {"plant": {"inverter": "switched"}}
     mine = tmp_path / "procedure.yaml"
@@ -359,7 +363,7 @@ def test_limits_that_a_motor_file_leaves_out_follow_from_the_nameplate(write: Wr
     assert limits.voltage_v == pytest.approx(30.0 * math.sqrt(2.0 / 3.0), rel=1e-3)
     assert limits.duration_s == load_procedure("demo").limits.duration_s == 120.0
     assert limits.energy_j == pytest.approx(1.5 * 0.2 * (10.0 * math.sqrt(2.0)) ** 2 * 120.0, rel=1e-3)
-    assert loaded.notes[1:] == (
+    assert loaded.notes[2:] == (
         "limits, as the motor file has none of these: current_a 31.11 A, 2.2 times the rated peak; "
         "voltage_v 24.49 V, the rated phase peak; energy_j 7200 J, the rated copper loss for 120 s",
     )
@@ -515,3 +519,17 @@ def test_a_file_that_is_missing_is_reported_with_the_nearest_beside_it(tmp_path:
     (tmp_path / "mine.yaml").write_text("")
     with pytest.raises(ProcedureError, match=r"No such file or directory; did you mean '.*/mine\.yaml'"):
         load_procedure(str(tmp_path / "mines.yaml"))
+
+
+def test_a_motor_that_a_drive_cannot_be_set_up_for_is_asked_about_its_nameplate(tmp_path: Path) -> None:
+    motor = tmp_path / "servo.yaml"
+    text = "motor: {name: servo, pole_pairs: 5, rated_power_w: 400, rated_speed_rpm: 3000, rated_torque_nm: 1.27, "
+    text += "rated_current_rms_a: 9.6, rated_voltage_rms_v: 27, stator_resistance_ohm: 0.09, pm_flux_wb: 0.01248,\n"
+    motor.write_text(text + "  d_inductance_h: 0.2,\n  q_inductance_h: 0.0002}\n")
+    loaded = read_procedure("demo", motor=motor)
+    with pytest.raises(ProcedureError) as raised, loaded.locating_errors():
+        raise PluginError("drives", "simulated", "cannot be set up for this motor with these options (ValueError: x)")
+    assert str(raised.value).startswith(
+        f"{motor}:2: motor.d_inductance_h: 0.0002 would fit: is the stated value in mH?"
+    )
+    assert str(raised.value).endswith("the drive simulated cannot be set up for this motor with these options")

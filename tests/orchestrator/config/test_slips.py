@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from orchestrator.config._nameplate import broken_relations, mismatch, stated_values
-from orchestrator.config._slips import SLIPS, Slip, likely_slips, nameplate_doubts
+from orchestrator.config._slips import SLIPS, Slip, likely_slips, nameplate_doubts, peak_current_question
 from protocols import Motor
 from tests.orchestrator.config.nameplates import SIX
 
@@ -126,3 +126,23 @@ def test_poles_for_pole_pairs_are_asked_about_before_the_flux() -> None:
     poles = SERVO.model_copy(update={**values, "pole_pairs": 40, "rated_current_rms_a": 15.0, "pm_flux_wb": 0.0085})
     asked = [doubt for doubt in nameplate_doubts(poles) if "would fit" in doubt]
     assert asked[0] == "motor.pole_pairs: 20 would fit: is the stated value the number of poles?"
+
+
+AX_400 = {
+    "name": "servo", "pole_pairs": 5, "rated_power_w": 400.0, "rated_speed_rpm": 3000.0, "rated_torque_nm": 1.27,
+    "rated_current_rms_a": 9.6, "rated_voltage_rms_v": 27.0, "stator_resistance_ohm": 0.09, "d_inductance_h": 2e-4,
+    "q_inductance_h": 2e-4, "pm_flux_wb": 0.01248,
+}  # fmt: skip
+
+
+def test_a_peak_current_that_agrees_with_flux_and_torque_after_a_division_by_root_two_is_asked_about() -> None:
+    (question,) = peak_current_question(Motor.model_validate({**AX_400, "rated_current_rms_a": 13.6}))
+    assert question.startswith("motor.rated_current_rms_a: 9.617 would fit: is the stated value the peak")
+    assert "make 1.8 Nm, √2 times rated_torque_nm" in question
+    for current_a in (9.6, 12.0, 15.0):
+        assert list(peak_current_question(Motor.model_validate({**AX_400, "rated_current_rms_a": current_a}))) == []
+
+
+@pytest.mark.parametrize("motor", SIX.values(), ids=list(SIX))
+def test_no_right_nameplate_is_asked_about_its_peak_current(motor: Motor) -> None:
+    assert list(peak_current_question(motor)) == []

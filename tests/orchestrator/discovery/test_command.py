@@ -161,6 +161,22 @@ def test_without_a_law_it_says_what_to_measure_and_to_try(
     found["result"] = a_discovery(outcome="no_law", laws=())
     assert run_app(["discover", "first"]) == 0
     out = capsys.readouterr().out
-    assert "to measure next: the same over a wider range of phase currents" in out
-    assert "a larger `--set limits.current_a=...` does it" in out
+    assert "no place fits: the first row, leg voltage over phase currents, removes 99 % of the error" in out
+    assert "to measure next" not in out
     assert "`fluxbench new effect NAME`" in out
+    first = found["result"].ranking[0]
+    rival = first.model_copy(update={"phase": "b", "share": 0.8})
+    found["result"] = a_discovery(outcome="no_law", laws=(), ranking=(first, rival))
+    assert run_app(["discover", "first"]) == 0
+    out = capsys.readouterr().out
+    assert "to measure next: the rotor locked at a second angle" in out
+    assert "that tells the first row from leg voltage over phase currents in phase b" in out
+
+
+def test_where_a_verdict_is_explained_a_doubted_cause_can_be_left_out(
+    found: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    found["result"] = a_discovery(outcome="nothing_to_learn", laws=(), kept_effects=("eddy_currents", "dead_time"))
+    assert run_app(["discover", "first"]) == 0
+    out = capsys.readouterr().out
+    assert "if you doubt a named cause (eddy currents and dead time): `fluxbench discover first --without eddy" in out

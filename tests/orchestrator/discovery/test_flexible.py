@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 import pytest
@@ -16,15 +16,17 @@ from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
-from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns, term_of
+from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, Ranges, SharedColumns, hypotheses, term_of
 from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale, table_of
-from orchestrator.discovery.ranking import Score, _solved
+from orchestrator.discovery.ranking import Score, _solved, rank
 from orchestrator.discovery.report import Constant
 from orchestrator.discovery.search import LearnedLaw
 from orchestrator.numerics.frames import to_phases
 from orchestrator.testing import exciting_signals
-from protocols import LossHistory, SignalBatch
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, many_holds, prepared
+from protocols import LossHistory, SignalBatch, amplitude
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, many_holds, prepared, with_voltage
+from tests.orchestrator.diagnosis.reporting.test_resemblance import AlphaBias
 
 TOP = 4.0
 
@@ -269,3 +271,32 @@ def test_a_law_found_anew_on_a_finer_map_has_to_leave_less(
     setup = cast(DiagnosisSetup, SimpleNamespace(fitter=SimpleNamespace(fit=lambda *_: fitted)))
     after = search._on_finer_map(setup, before, lambda _: None)
     assert after.best.fit is (finer if kept else anew.best.fit)
+
+
+class NarrowBias(AlphaBias):
+    """A bias that may be a hundredth of the one in the data."""
+
+    name: ClassVar[str] = "narrow_bias"
+
+    class Parameters(AlphaBias.Parameters):
+        bias_v: float = amplitude("V", typical=0.001, prior_width=1.0, low=-0.003, high=0.003)
+
+
+def test_what_an_effect_at_its_bound_cannot_take_up_is_left_to_a_law() -> None:
+    maker = fitter(with_voltage(prepared(many_holds()), np.array([0.3, 0.0])))
+    fit = maker.fit(with_free(free_model(), maker, NarrowBias()))
+    assert fit.model.active[0].values["bias_v"] == pytest.approx(0.003, rel=0.1)
+    ranges = Ranges.in_fit(fit)
+    (best, *_) = rank(maker, fit, [h for h in hypotheses(ranges) if h.key == "leg_voltage-a-curve-time"])
+    assert best.share == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_voltage_before_a_reading_is_that_of_its_own_segment() -> None:
+    signals = exciting_signals()
+    batch = SignalBatch.of([signals, signals])
+    before = of.VOLTAGE_BEFORE.of(batch)
+    v = to_phases(signals.v_ab)
+    n = len(v)
+    for start in (0, n):
+        np.testing.assert_array_equal(before[start], v[0])
+        np.testing.assert_array_equal(before[start + 1 : start + n], v[:-1])

@@ -74,6 +74,26 @@ def test_what_is_a_fifth_off_stands_in_the_verdict_with_both_numbers(tmp_path: P
     assert f"{R_S.value_ohm:.4g} ohm, 1.25 times the nameplate's {0.8 * R_S.value_ohm:.4g} ohm" in stated
 
 
+@pytest.mark.parametrize(
+    ("plate", "words"),
+    [
+        (1.2247, "all 0.817 times the nameplate's: one scale of the currents or voltages explains it; 0.816 = √(2/3)"),
+        (0.8165, "1.22 = √(3/2), as between power-invariant and amplitude-invariant values: is `scaling` right?"),
+        (1.16, "all 0.862 times the nameplate's: one scale of the currents or voltages explains it"),
+    ],
+)
+def test_one_factor_of_all_is_a_remark_that_names_its_convention(plate: float, words: str, tmp_path: Path) -> None:
+    found = report(tmp_path, stator_resistance_ohm=plate, d_inductance_h=plate, q_inductance_h=plate)
+    (text,) = [remark.text for remark in found.remarks if remark.code == "common_factor"]
+    assert words in text
+    assert ("scaling" in text) == (abs(plate - 1.16) > 0.01)
+
+
+def test_values_that_differ_from_the_nameplate_by_several_factors_have_no_common_one(tmp_path: Path) -> None:
+    found = report(tmp_path, stator_resistance_ohm=1.2247, d_inductance_h=1.0, q_inductance_h=1.2)
+    assert "common_factor" not in {remark.code for remark in found.remarks}
+
+
 def test_a_resistance_far_off_is_stated_and_the_map_may_be_used(tmp_path: Path) -> None:
     found = report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=1.0, q_inductance_h=1.0)
     assert far(found) == {"R_s": pytest.approx(2.0)}

@@ -45,3 +45,10 @@ def test_a_unit_of_something_else_is_refused_with_its_line(tmp_path: Path) -> No
     path.write_text(MOTOR.replace("5.4 mH", "5.4 mF") + REST)
     with pytest.raises(InputError, match=r"mapping.yaml:1.*motor.d_inductance_h: expected a number in H.*'5.4 mF'"):
         read_mapping(path)
+
+
+def test_a_set_point_beside_a_rules_keys_is_refused_with_where_it_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "mapping.yaml"
+    path.write_text(MOTOR + REST.replace("{stage: steps}", "{stage: steps, pwm_frequency_hz: 20000}"))
+    with pytest.raises(InputError, match=r"unknown key; a set-point .* settings: \{pwm_frequency_hz: \.\.\.\}"):
+        read_mapping(path)

@@ -17,7 +17,7 @@ from protocols import Motor
 from tests.orchestrator.tuning.closed_loop import Plant
 from tests.orchestrator.tuning.machines import Flux, flux_map
 
-LIMITS = DriveLimits(current_a=20.0, bus_v=300.0, speed_rad_s=3000.0, sampling_hz=1e4)
+LIMITS = DriveLimits(current_a=20.0, bus_v=300.0, speed_rad_s=3000.0, sampling_hz=1e4, pwm_hz=1e4)
 REACH_A = 24.0
 NODES = 41
 

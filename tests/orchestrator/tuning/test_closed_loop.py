@@ -370,17 +370,17 @@ OTHER_MACHINES = {
     "small surface magnets": (
         Plant(psi_m=5e-3, l_d=1e-4, i_d=60.0, l_q=1e-4, i_q=60.0, l_leak=0.0, cross=0.0, r_s=0.5, pole_pairs=7.0,
               v_dc=24.0, period=5e-5),
-        DriveLimits(current_a=10.0, bus_v=24.0, speed_rad_s=1500.0, sampling_hz=2e4),
+        DriveLimits(current_a=10.0, bus_v=24.0, speed_rad_s=1500.0, sampling_hz=2e4, pwm_hz=2e4),
     ),
     "synchronous reluctance": (
         Plant(psi_m=0.0, l_d=12e-3, i_d=8.0, l_q=3e-3, i_q=40.0, l_leak=0.0, cross=2e-5, r_s=0.3, pole_pairs=2.0,
               v_dc=560.0, period=1.25e-4),
-        DriveLimits(current_a=25.0, bus_v=560.0, speed_rad_s=1500.0, sampling_hz=8e3),
+        DriveLimits(current_a=25.0, bus_v=560.0, speed_rad_s=1500.0, sampling_hz=8e3, pwm_hz=8e3),
     ),
     "traction": (
         Plant(psi_m=0.11, l_d=2e-4, i_d=600.0, l_q=6e-4, i_q=250.0, l_leak=5e-5, cross=1e-8, i_x=300.0, i_y=400.0,
               r_s=8e-3, pole_pairs=5.0, v_dc=650.0, period=1e-4),
-        DriveLimits(current_a=400.0, bus_v=650.0, speed_rad_s=5000.0, sampling_hz=1e4),
+        DriveLimits(current_a=400.0, bus_v=650.0, speed_rad_s=5000.0, sampling_hz=1e4, pwm_hz=1e4),
     ),
 }  # fmt: skip
 

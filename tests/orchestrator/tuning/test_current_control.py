@@ -19,7 +19,7 @@ from orchestrator.tuning.limits import DriveLimits
 from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
 
-LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=1500.0, sampling_hz=10e3)
+LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=1500.0, sampling_hz=10e3, pwm_hz=10e3)
 
 
 def test_the_phase_margin_is_that_of_the_open_loop() -> None:

@@ -14,7 +14,7 @@ from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import Plant
 from tests.orchestrator.tuning.machines import linear, machine
 
-LIMITS = DriveLimits(current_a=3.0, bus_v=300.0, speed_rad_s=1000.0, sampling_hz=1e4)
+LIMITS = DriveLimits(current_a=3.0, bus_v=300.0, speed_rad_s=1000.0, sampling_hz=1e4, pwm_hz=1e4)
 
 
 def read(content: bytes) -> dict[str, float]:
@@ -51,9 +51,17 @@ def test_a_machine_without_saturation_gets_the_gains_of_its_inductances() -> Non
             "PID_current_q.I": alpha,
             "PID_current_d.limit": 300.0 / math.sqrt(3.0),
             "PID_current_q.limit": 300.0 / math.sqrt(3.0),
+            "LPF_current_d.Tf": 0.0,
+            "LPF_current_q.Tf": 0.0,
         },
         rel=1e-4,
     )
+
+
+def test_vesc_gets_the_time_that_a_leg_loses() -> None:
+    control = current_control(machine(linear(0.02, 0.05, 0.3)), LIMITS)
+    text = settings_for_firmware(control, LIMITS, lost_time_s=625e-9)["vesc.txt"]
+    assert read(text)["foc_dt_us"] == pytest.approx(0.625)
 
 
 def test_vesc_gets_the_flux_linkage_or_a_line_that_it_is_missing() -> None:

@@ -27,6 +27,13 @@ def test_what_is_given_comes_first() -> None:
     assert (limits.current_a, limits.bus_v, limits.sampling_hz) == (1.5, 48.0, 8e3)
 
 
+def test_a_double_update_leaves_the_pwm_frequency_the_recordings() -> None:
+    limits = limits_of(MADE, DRIVE, sampling_hz=20e3)
+    assert (limits.sampling_hz, limits.pwm_hz) == (20e3, 10e3)
+    limits = limits_of(MADE, DRIVE, pwm_hz=16e3)
+    assert (limits.sampling_hz, limits.pwm_hz) == (16e3, 16e3)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -91,11 +91,11 @@ class Rotating:
 MACHINES = (
     Rotating(
         "reluctance", reluctance_current, 0.54, 2, 0.0, 0.015,
-        DriveLimits(current_a=22.0, bus_v=540.0, speed_rad_s=1300.0, sampling_hz=1.0 / PERIOD_S),
+        DriveLimits(current_a=22.0, bus_v=540.0, speed_rad_s=1300.0, sampling_hz=1.0 / PERIOD_S, pwm_hz=1.0 / PERIOD_S),
     ),
     Rotating(
         "buried magnets", magnet_current, 3.6, 3, 0.545, 0.015,
-        DriveLimits(current_a=8.0, bus_v=540.0, speed_rad_s=950.0, sampling_hz=1.0 / PERIOD_S),
+        DriveLimits(current_a=8.0, bus_v=540.0, speed_rad_s=950.0, sampling_hz=1.0 / PERIOD_S, pwm_hz=1.0 / PERIOD_S),
     ),
 )  # fmt: skip
 

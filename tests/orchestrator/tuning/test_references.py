@@ -18,7 +18,7 @@ from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
 from tests.support.cases import few
 
-LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=700.0, sampling_hz=10e3)
+LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=700.0, sampling_hz=10e3, pwm_hz=10e3)
 BURIED = (0.03, 0.07, 0.25)
 MACHINES = {
     "buried magnets": machine(linear(*BURIED)),
@@ -95,7 +95,7 @@ def test_torque_beyond_the_limit_is_limited() -> None:
 def test_a_speed_beyond_reach_is_said() -> None:
     within = references_of("saturated")
     beyond = current_references(
-        MACHINES["saturated"], DriveLimits(current_a=0.5, bus_v=60.0, speed_rad_s=5000.0, sampling_hz=10e3)
+        MACHINES["saturated"], DriveLimits(current_a=0.5, bus_v=60.0, speed_rad_s=5000.0, sampling_hz=10e3, pwm_hz=10e3)
     )
     assert (within.reaches_speed, beyond.reaches_speed) == (True, False)
 

@@ -31,7 +31,7 @@ from tests.plugins.drives.simulated.conftest import PM400, options_of
 
 DEAD_TIME_V, KNEE_A = 3.0, 0.1
 PERIOD_S = 1e-4
-LIMITS = DriveLimits(current_a=2.3, bus_v=394.0, speed_rad_s=950.0, sampling_hz=1.0 / PERIOD_S)
+LIMITS = DriveLimits(current_a=2.3, bus_v=394.0, speed_rad_s=950.0, sampling_hz=1.0 / PERIOD_S, pwm_hz=1.0 / PERIOD_S)
 SETTLED = 400
 
 

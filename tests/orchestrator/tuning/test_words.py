@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.tuning.benefits import ripple_of
 from orchestrator.tuning.tuning_report import TuningReport
-from orchestrator.tuning.words import figure_rows, file_rows, notes
+from orchestrator.tuning.words import figure_rows, file_rows, headline, notes
 
 
 def a_report(**changed: object) -> TuningReport:
@@ -48,7 +48,22 @@ def test_an_observer_has_no_speed_below_what_drift_allows() -> None:
     assert rows["back-EMF observer"].startswith("position error below 5° electrical from 356 rpm on")
     assert rows["... with R_s of the warm winding"] == "from 45 rpm on"
     row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["... with R_s of the warm winding"]
-    assert row == "limited by drift and offsets, which are not counted"
+    assert row == "from less than 18 rpm on, where drift and offsets decide; these are not counted"
+
+
+def test_gains_of_plain_controllers_and_the_time_that_a_leg_loses_are_stated() -> None:
+    more = {"k_p_v_per_a": (0.34, 0.5), "k_i_v_per_as": 253.0, "lost_v": 0.3, "lost_time_s": 625e-9, "pwm_hz": 1e4}
+    rows = dict(figure_rows(a_report(**more)))
+    assert rows["... as plain PI controllers"] == "k_p 0.34 V/A for i_d, 0.5 V/A for i_q; k_i 253 V/(A s)"
+    assert rows["inverter's loss"] == "up to 300 mV a leg; as a dead time 625 ns at 10 kHz PWM"
+    assert headline(a_report(**more, sampling_hz=2e4)).endswith("control at 20000 Hz, PWM at 10000 Hz")
+    assert "PWM" not in headline(a_report(**more))
+
+
+def test_injection_that_works_nearly_nowhere_does_not_work_on_this_motor() -> None:
+    rows = dict(figure_rows(a_report(injection_works_percent=1.7)))
+    assert rows["tracking by injection"].startswith("does not work on this motor: the saliency suffices at 1.7 % of")
+    assert "... position error" not in rows
 
 
 def test_each_file_has_its_content_beside_it() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.guarded import guarded
+from orchestrator.diagnosis.reporting import own_effects
 from orchestrator.diagnosis.reporting.own_effects import contract_remarks, own_effect_remarks
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from protocols import Contrast, Correction, Effect, SearchDecision, SearchEvent, SearchMove, Signals
@@ -102,6 +103,12 @@ def test_an_own_effect_that_the_recording_cannot_separate_from_a_named_one_is_re
 def test_what_is_in_the_model_or_installed_has_no_such_remark() -> None:
     assert remark(guarded(Own()), SCREEN, *REFITS, model=guarded(Own())) == []
     assert remark(Own(), SCREEN, *REFITS) == []
+
+
+def test_an_effect_that_another_distribution_installed_has_a_remark_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(own_effects, "of_other_distributions", lambda _: frozenset({"own_drop"}))
+    (text,) = remark(Own(), SCREEN)
+    assert text.startswith("own_effect_not_tried: own drop: not fitted: its predicted fall of chi2 is too small")
 
 
 class ActsAtNeutral(VoltageBias):

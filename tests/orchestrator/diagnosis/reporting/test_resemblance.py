@@ -16,17 +16,19 @@ from orchestrator.diagnosis.reporting.resemblance import (
     Alternative,
     alternative_remarks,
     inseparable_remark,
+    needed_remarks,
     own_alternatives,
     pair_remarks,
     refitted_ties,
     resembling_pairs,
     separated_remarks,
+    separately_needed,
     with_tied,
 )
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Inseparable, Signals, amplitude
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_effects, with_voltage
 
 
 class SameBias(VoltageBias):
@@ -103,6 +105,20 @@ def test_two_alike_in_one_model_are_one_pair_and_each_other_s_twins(maker: Fitte
     (remark,) = pair_remarks(pairs)
     assert "does not determine their sizes separately" in remark.text
     assert with_tied({}, [], pairs) == {"same_bias": ["voltage_bias"], "voltage_bias": ["same_bias"]}
+
+
+def test_a_pair_of_which_the_data_need_both_is_no_pair_of_undetermined_sizes(maker: Fitter) -> None:
+    alike = ("voltage_bias", "same_bias")
+    fit = fitted(maker, VoltageBias(), guarded(SameBias()))
+    assert separately_needed(maker, fit, [alike]) == ([alike], [])
+    (hidden,) = with_free(free_model(), maker, DeadTime(), voltage_v=-2.0).active
+    both = fitter(with_effects(maker.prepared, [hidden]))
+    fit, different = fitted(both, VoltageBias(), DeadTime()), ("voltage_bias", "dead_time")
+    tied, needed = separately_needed(both, fit, [different])
+    assert tied == []
+    (text,) = [one.text for one in needed_remarks(needed)]
+    assert text.startswith("voltage bias and dead time resemble each other, and the recording needs both: chi2 rises ")
+    assert min(needed[0].chi2_without) > 2.0 * needed[0].chi2
 
 
 def test_an_effect_that_helps_beside_its_like_only_may_help(maker: Fitter) -> None:

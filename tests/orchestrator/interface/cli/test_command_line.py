@@ -161,7 +161,7 @@ def test_a_command_that_is_named_waits_for_no_description_of_the_others(
     def described(_: object) -> str:
         raise AssertionError("described")
 
-    monkeypatch.setattr("orchestrator.interface.cli._foreign.summary_of", described)
+    monkeypatch.setattr("orchestrator.interface.cli._foreign.described", described)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))  # where the traceback goes
     assert called("procedures").returncode == 0
     assert "AssertionError: described" in called("--help").stderr

@@ -114,6 +114,7 @@ def test_a_foreign_recording_gets_the_stage_to_paste_into_a_procedure(run: Path,
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "run.json" in done.stderr
+    assert "fluxbench import --merge" in done.stderr
     stages = yaml.safe_load(done.stdout)
     assert stages == [EXPERIMENT]
     mine = tmp_path / "mine.yaml"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from orchestrator.interface.cli._inspect import BENCH_ADVICE
@@ -25,6 +27,38 @@ def test_an_effect_with_a_measurement_of_its_own_at_the_bench_names_that(capsys:
 def test_a_misspelt_effect_gets_the_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["effects", "dead_tim"]) == 2
     assert "did you mean 'dead_time'?" in capsys.readouterr().err
+
+
+OWN = """
+from protocols import Correction, EffectLayer, EffectParameters, amplitude
+
+
+class Choke:
+    name, summary, signature, needs, gauge = "choke", "A choke in phase a.", "A residual against di_a/dt.", (), ""
+    layer = EffectLayer.INVERTER
+
+    class Parameters(EffectParameters):
+        inductance_h: float = amplitude("H", typical=1e-3, prior_width=3e-3, low=-0.1, high=0.1)
+
+    def correct(self, signals, p):
+        return Correction()
+"""
+
+
+def test_an_effect_of_a_file_is_listed_and_described_with_advice_that_holds_for_its_layer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "choke.py").write_text(OWN)
+    assert run_app(["effects", "--effects", str(tmp_path / "choke.py")]) == 0
+    out = capsys.readouterr().out
+    assert "A choke in phase a." in out
+    assert "hysteresis" in out
+    assert run_app(["effects", "choke", "--effects", str(tmp_path / "choke.py")]) == 0
+    out = capsys.readouterr().out
+    assert "at the bench: measure between the motor's terminals" in out
+    assert "dead time" not in out
+    assert run_app(["effects", "chok", "--effects", str(tmp_path / "choke.py")]) == 2
+    assert "did you mean 'choke'?" in capsys.readouterr().err
 
 
 def test_each_layer_has_advice() -> None:

@@ -64,6 +64,14 @@ def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) ->
         assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
 
 
+def test_a_new_package_has_test_settings_of_its_own_within_another_project(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text('[tool.pytest.ini_options]\naddopts = "--strict-config"\nnot_known = 1\n')
+    write_package("effect", "inner", tmp_path / "inner")
+    installed_as(tmp_path / "inner")
+    done = in_package(tmp_path / "inner", "-m", "pytest", "tests", "--collect-only", "-q", "-p", "no:cacheprovider")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.mark.slow
 def test_a_new_drive_has_a_procedure_that_runs_and_learns_all_stages_that_it_cannot_do(tmp_path: Path) -> None:
     write_package("drive", "fresh", tmp_path / "drive")

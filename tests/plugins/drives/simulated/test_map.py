@@ -104,8 +104,9 @@ def test_the_misfit_is_that_of_the_scatter(tmp_path: Path) -> None:
 def test_a_drive_says_beforehand_how_well_its_map_is_met() -> None:
     options = SimulatedOptions.model_validate({"plant": {"magnetics": {"kind": "map", "name": "baldor-5k6"}}})
     drive = SimulatedDrive(DriveSetup(motor=MOTOR, options=options, seed=1))
-    (note,) = drive.connect().notes
+    bus, note = drive.connect().notes
     drive.close()
+    assert "simulated with a bus of" in bus
     assert "baldor-5k6" in note
     assert "567 points within 0.12 % of the current" in note
 

@@ -12,7 +12,7 @@ from plugins.streams.report._page import render
 from tests.orchestrator.tuning.machines import machine, saturated
 from tests.plugins.streams.example_run import a_run_directory
 
-LIMITS = DriveLimits(current_a=2.0, bus_v=300.0, speed_rad_s=600.0, sampling_hz=10e3)
+LIMITS = DriveLimits(current_a=2.0, bus_v=300.0, speed_rad_s=600.0, sampling_hz=10e3, pwm_hz=10e3)
 
 
 @pytest.fixture
