@@ -49,7 +49,9 @@ def _about_model(material: Material) -> str:
     if material.diagnosis is None:
         is_drawn = material.bare is not None or material.manifest is None
         draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
-        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
+        is_sealed = material.record is not None and bool(material.record.sealed)
+        spoils = ", and gives most of what is hidden in this motor away" if is_sealed else ""
+        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{spoils}{draws}."
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
