@@ -161,8 +161,8 @@ def accuracy_sentences(report: DiagnosisReport) -> list[str]:
         is_right = report.verdict in ("clean", "explained", "explained_in_another_form")
         start = "The model's" if is_right else "If the model is right, its"
         sentences.append(
-            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
-            "measured currents)."
+            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, of noise "
+            "alone, rms over the measured currents; over the whole map, edges included, it is more)."
         )
     return sentences
 

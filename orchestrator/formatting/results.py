@@ -72,6 +72,10 @@ UNCHANGED = "unchanged over the recording"
 _ENDS = ["in the first segment", "in the last"]
 
 
+BEYOND_A_RUN = "your sensors' gain and the bus voltage's error, which no run shows, come on top"
+"""What adds to the error of a map and of R_s, in words."""
+
+
 def resistance(estimate: ResistanceEstimate) -> str:
     """R_s with its 95 % interval."""
     return measured(estimate.value_ohm, estimate.low, estimate.high, "ohm")
@@ -90,6 +94,24 @@ def resistance_course(estimate: ResistanceEstimate) -> str:
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
     )
+
+
+def accuracy_words(report: EstimatorsReport) -> str:
+    """What a usable map and its R_s are worth: by noise, by how far methods agree, and beyond that; empty otherwise."""
+    if not report.usable:
+        return ""
+    bands = [check.value for check in report.checks if check.name == "flux_band" and check.value is not None]
+    parts = [f"the map ±{percent(bands[0])} of the rated flux (rms over the map)"] if bands else []
+    if (known := report.resistance) is not None and known.value_ohm > 0.0:
+        parts.append(f"R_s ±{percent(50.0 * (known.high - known.low) / known.value_ohm)}")
+    if not parts:
+        return ""
+    each = "each " if len(parts) > 1 else ""
+    sentences = [f"{' and '.join(parts)}, {each}95 % and of the readings' noise alone"]
+    if (apart := report.classical_against_injection_percent) is not None:
+        methods = "two independent methods, sweeps and injection, differ by"
+        sentences.append(f"{methods} {percent(apart)} of the rated flux (rms)")
+    return "; ".join([*sentences, BEYOND_A_RUN])
 
 
 def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:

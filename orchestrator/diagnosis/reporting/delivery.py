@@ -125,7 +125,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += size_remarks(fit)
     if band_percent > max_percent:
-        text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
+        text = "the model's map is known to +-{band_percent:.2g} % of the rated flux (95 %, at the measured currents)"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
     return [one.by(METHOD) for one in against]
 

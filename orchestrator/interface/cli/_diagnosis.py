@@ -19,6 +19,7 @@ from orchestrator.formatting.results import (
     CHI2_OF_NOISE_MEANING,
     NOISE_FLOOR_MEANING,
     REFIT_MEANING,
+    accuracy_words,
     benefit_line,
     has_other_chi2,
     ladder_rows,
@@ -179,6 +180,7 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     """Print R_s and the map of the diagnosis, or why the map is not reliable."""
     if estimates.usable and estimates.resistance is not None:
         say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
+        say(*(f"accuracy: {words}" for words in filter(None, [accuracy_words(estimates)])))
         say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
         return
     why = next((r.text for r in estimates.remarks), "no estimator succeeded")
