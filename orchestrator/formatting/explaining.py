@@ -12,7 +12,7 @@ from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchM
 
 SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "needed", "chi2", "outcome")
 BASIS_HEAD = (
-    "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "steps",
+    "effect", "of its typical size", "error without it", "log evidence", "probability", "material", "steps",
     "indistinguishable from",
 )  # fmt: skip
 LOG_EVIDENCE_SCALE = (

@@ -50,8 +50,8 @@ NOISE_FLOOR_MEANING = (
     "samples as the error beside it."
 )
 PART_MEANING = (
-    "of the error: the rms error that returns without the effect, over the first model's; parts do not add up to "
-    "100 %, as each is of the kind of stage where it is largest"
+    "error without it: the rms error that returns without the effect, over the first model's; each is of the kind of "
+    "stage where it is largest, so that they do not add up to 100 %"
 )
 REFIT_MEANING = (
     "chi2 differs from that of the same effects in the diagnosis: `add` and `remove` keep the map grid and the "
@@ -231,7 +231,7 @@ def trace_words(report: DiagnosisReport) -> list[str]:
 def joint_bound(entry: JointEntry) -> str:
     """How large an effect may be by the joint fit at 95 %: ``at most 1.31 mV``; empty where that is not known."""
     size = entry.size
-    if size is None or size.low is None:
+    if size is None or size.low is None or (size.high is not None and not max(abs(size.low), abs(size.high)) > 0.0):
         return ""
     if size.high is None:
         return f"{parameter_words(entry.parameter)} at least {quantity(size.low, size.unit)}"
@@ -250,6 +250,14 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
         )
         for effect in effects
     ]
+
+
+def mutual_twins(effects: Sequence[FoundEffect]) -> dict[str, tuple[str, ...]]:
+    """What fits as well in each effect's place, by its name; of two effects of the model each is the other's."""
+    return {
+        one.name: (*one.twins, *(o.name for o in effects if one.name in o.twins and o.name not in one.twins))
+        for one in effects
+    }
 
 
 def size_in_words(effect: FoundEffect) -> str:
@@ -279,7 +287,7 @@ def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
     """What a part of the error is, and why one is above 100 %."""
     parts = [effect.share for effect in effects if effect.share is not None]
     large = (
-        "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
+        "error without it above 100 %: without this effect the model's error would exceed that of the first model, "
         "whose R_s and map compensated a part of it"
     )
     return [PART_MEANING] * bool(parts) + [large] * any(part >= 1.005 for part in parts)

@@ -157,7 +157,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.convention is None:
         _print_ladder(report)
         say_notes([NOISE_FLOOR_MEANING])
-    heads = ("size", "of the error", "probability", "material")
+    heads = ("size", "error without it", "probability", "material")
     if report.leaves_most and report.effects:
         say_table(("takes up a part", *heads[:2]), [row[:3] for row in share_rows(report.effects)])
     elif report.effects:

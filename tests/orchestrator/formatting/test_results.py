@@ -132,7 +132,7 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     report = a_diagnosis().model_copy(update={"materiality": limits, "minor": ()})
     meaning, first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
     assert meaning == PART_MEANING
-    assert first.startswith("above 100 % of the error: without this effect")
+    assert first.startswith("error without it above 100 %: without this effect")
     assert second.startswith("dead time: a cause of the measured error, but not material: ")
     assert "less than 0.2 % of the rated flux" in second
     for whole in (0.9, 1.004):  # the second is written as 100 %

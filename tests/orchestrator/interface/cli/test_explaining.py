@@ -69,7 +69,7 @@ def test_a_share_above_the_whole_error_is_explained_below_the_table(
     effect = a_report().effects[0].model_copy(update={"share": 2.29})
     save_diagnosis(tmp_path, a_report().model_copy(update={"effects": (effect,)}), WORDS, ())
     assert run_app(["explain", str(tmp_path)]) == 0
-    assert "note: above 100 % of the error: without this effect" in capsys.readouterr().out
+    assert "note: error without it above 100 %: without this effect" in capsys.readouterr().out
 
 
 def test_what_an_effect_remarks_is_told_and_a_folder_of_results_names_the_recording(

@@ -83,8 +83,9 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
             ["current_offset", "rotor_misalignment", "skin_effect"],
             "compensate current offset (voltage 400 mV; subtract it from the readings of each sensor) and rotor "
             "misalignment (voltage 400 mV; add it to the angle that the drive believes, such as the encoder's offset) "
-            "in the drive, and use model.json for skin effect (voltage 400 mV, sharpness −15·10⁶; to check it, measure resistance "
-            "and inductance with a bridge at two frequencies, below and above the corner), which few drives compensate.",
+            "in the drive, and use model.json for skin effect (voltage 400 mV, sharpness −15·10⁶; to check it, "
+            "measure resistance and inductance with a bridge at two frequencies, below and above the corner), which "
+            "few drives compensate.",
         ),
     ],
 )
