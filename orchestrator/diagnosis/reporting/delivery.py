@@ -112,7 +112,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
         against.append(Remark.of("cannot_tell", text))
     residual = left_of_excitation(fit)
     if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
-        text = "{left_percent:.2g} % of the voltage is left unexplained: `compare` shows where"
+        text = "{left_percent:.2g} % of the voltage of one kind of stage is left unexplained: `compare` shows which"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
     largest = max(moved, key=lambda name: moved[name], default=None)
     max_percent = limits.verdict.widest_band_percent

@@ -147,10 +147,10 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add", epilog="Example: fluxbench add runs/first hysteresis")
+@commands.command("add", epilog="Example: fluxbench add runs/mystery-4 hysteresis")
 def add_command(
     recording: RecordingArgument,
-    effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
+    effect: Annotated[list[str], typer.Argument(help="Names, separated by spaces or commas.", metavar="EFFECT...")],
     model: ModelOption = None,
     effects: EffectsOption = None,
     out: OutOption = None,

@@ -35,7 +35,7 @@ from orchestrator.interface.cli._interrupting import Interruption, prompt_interr
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.interface.cli._refreshing import refresh_report
 from orchestrator.interface.cli._results import in_capitals
-from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport, InputError
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import InterimResult
@@ -101,6 +101,9 @@ def add(
     path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
 ) -> int:
     """Refit with these effects."""
+    names = [name for word in names for name in word.split(",") if name]
+    if not names:
+        raise InputError("EFFECT", "", "expected names of effects, separated by spaces or commas")
     with prompt_interrupt():
         tell = _progress(as_json).result
         report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
