@@ -102,9 +102,7 @@ def add_effects(
     report = _added(recording, names, effects, saved, model or "saturated", out, tell)
     if out is None or model is not None or saved is not None or not has_model(recording.path):
         return report
-    text = (
-        "no {file} in {folder}: the model began without the effects of the recording's own; copy that to keep them"
-    )
+    text = "no {file} in {folder}: the model began without the effects of the recording's own; copy that to keep them"
     began = Remark.of("no_model", text, file=MODEL_NAME, folder=str(out))
     return report.model_copy(update={"remarks": (began, *report.remarks)})
 

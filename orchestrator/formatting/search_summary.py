@@ -26,7 +26,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     tried: list[SearchEvent] = []
     model: set[str] = set()
     found_together: set[str] = set()
-    told: set[str] = set()
+    stated: set[str] = set()
     for event in events:
         if event.move == "screen":
             tried = []
@@ -40,9 +40,9 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
                 sentence = f"{sentence}{_new_ones(found_together - set(event.effects))}"
                 found_together = set()
             model = _model_after(event, model)
-        if sentence is None or sentence in told:
+        if sentence is None or sentence in stated:
             continue
-        told.add(sentence)
+        stated.add(sentence)
         if event.data != data:
             data = event.data
             lines.append(DATA_LINES[data])
@@ -104,13 +104,13 @@ def _removed(event: SearchEvent) -> str | None:
 def _exchanged(event: SearchEvent) -> str | None:
     new, old = (plain(name) for name in event.effects)
     if event.decision == "accepted":
-        untold = f", which {_BY[event.data]} does not tell apart" if event.note else ""
-        return f"{new} takes the place of {old}: {_course(event)}{untold}"
+        tie = f", two that {_BY[event.data]} does not separate" if event.note else ""
+        return f"{new} takes the place of {old}: {_course(event)}{tie}"
     if not event.note:
         return None
     values = [number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None]
     sizes = f"chi2 {values[0]} with {old}, {values[1]} with {new}" if len(values) == 2 else f"chi2 {listed(values)}"
-    return f"{new} in place of {old} is not told apart by {_BY[event.data]}: {sizes}"
+    return f"{new} in place of {old}: {_BY[event.data]} does not separate the two, {sizes}"
 
 
 _BY: Mapping[str, str] = {"part": "this part", "whole": "the recording"}

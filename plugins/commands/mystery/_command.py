@@ -25,7 +25,7 @@ FORM_MEANING = (
     "* of the simulated motor's own formula. The library's formulas are written independently: of another curve the "
     "best value is another, and may lie outside the diagnosis' interval."
 )
-TOO_SMALL = "hidden, and not asked for: too small or too similar to the others for this recording to tell apart"
+TOO_SMALL = "hidden, but too small, or too similar to the others, for this recording; no name is missing for it"
 SAME_SIZE: float = 0.01
 """Relative difference of a hidden size and of the one that came of it, from which both are printed."""
 WHOLE = "expected a whole number from 0 on"

@@ -69,8 +69,8 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
     assert lines == [
         "2. no absent effect is worth adding: the best, hysteresis, lowers the summed chi2 by 14.5, 32 needed",
         "3. dead time stays: without it chi2 is 80",
-        "4. device drop in place of dead time is not told apart by the recording: chi2 1 with dead time, 1.02 with "
-        "device drop",
+        "4. device drop in place of dead time: the recording does not separate the two, chi2 1 with dead time, "
+        "1.02 with device drop",
         "5. bus sag is in the model and no cause: 2 % of the first error, 5 % needed",
         "6. dead time is in the model and no cause, although it is 64 % of the first error and 57 % are needed: "
         "what is left could imitate it",
@@ -106,6 +106,6 @@ def test_a_swap_that_the_recording_does_not_decide_is_said_to_be_one_and_nothing
     swap = {"move": "swap", "effects": ("device_drop", "dead_time"), "note": "both do as well", **chi2(1.13, 1.08)}
     lines = moves(stays, stays, swap, swap | {"data": "part"})
     assert lines[0] == "1. dead time stays: without it chi2 is 80"
-    assert lines[1].endswith("place of dead time: chi2 1.13 → 1.08, which the recording does not tell apart")
+    assert lines[1].endswith("place of dead time: chi2 1.13 → 1.08, two that the recording does not separate")
     assert len(lines) == 4
-    assert lines[-1].endswith("which this part does not tell apart")
+    assert lines[-1].endswith("two that this part does not separate")

@@ -119,11 +119,11 @@ def test_wrong_names_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
     assert "2 of 3 names are wrong.\n" in capsys.readouterr().out
 
 
-def test_what_the_recording_does_not_show_is_not_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_recording_does_not_show_need_not_be_named(capsys: pytest.CaptureFixture[str]) -> None:
     hidden = {"voltage_delay": {"delay_s": 2e-5}, "current_filter": {"time_constant_s": 2e-6}}
     _print_verdict(judge(read_guess("voltage_delay"), hidden, {}, shows=lambda _: False))
     _, second, last = capsys.readouterr().out.splitlines()
-    assert second.startswith("1 more is hidden, and not asked for: too small or too similar")
+    assert second.startswith("1 more is hidden, but too small, or too similar")
     assert last == "That is all that this recording shows."
 
 
