@@ -12,6 +12,7 @@ from orchestrator.formatting.results import (
     has_other_chi2,
     joint_bound,
     ladder_rows,
+    mutual_twins,
     parameter_rows,
     resistance_course,
     share_notes,
@@ -91,6 +92,18 @@ def test_the_joint_fit_bounds_what_was_not_added() -> None:
     strong = entry.model_copy(update={"parameter": "core_loss_ohm", "size": loss})
     assert joint_bound(strong) == "core loss at least 5 kΩ"
     assert joint_bound(entry.model_copy(update={"size": None})) == ""
+    nothing = ParameterValue(value=0.0, low=0.0, high=0.0, unit="V")
+    assert joint_bound(entry.model_copy(update={"size": nothing})) == ""
+
+
+def test_of_two_effects_that_resemble_each_other_each_is_the_others() -> None:
+    slots, angle, delay = (effect(name=name) for name in ("slot_harmonics", "rotor_misalignment", "voltage_delay"))
+    slots = slots.model_copy(update={"twins": ("rotor_misalignment",)})
+    assert mutual_twins([slots, angle, delay]) == {
+        "slot_harmonics": ("rotor_misalignment",),
+        "rotor_misalignment": ("slot_harmonics",),
+        "voltage_delay": (),
+    }
 
 
 def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:
