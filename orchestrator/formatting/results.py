@@ -53,6 +53,11 @@ PART_MEANING = (
     "error without it: the rms error that returns without the effect, over the first model's; each is of the kind of "
     "stage where it is largest, so that they do not add up to 100 %"
 )
+STAND_IN = (
+    "probability and material are of these effects if nothing else acts; something unknown does, and may be what they "
+    "take up"
+)
+"""How to read effects of a model that leaves most of the error."""
 REFIT_MEANING = (
     "chi2 differs from that of the same effects in the diagnosis: `add` and `remove` keep the map grid and the "
     "effects' forms that the whole model had, a diagnosis chooses them at each step"
@@ -296,6 +301,8 @@ def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
 def share_notes(report: DiagnosisReport) -> list[str]:
     """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
     notes = part_notes((*report.effects, *report.minor))
+    if report.effects and report.leaves_most:
+        notes.append(STAND_IN)
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)

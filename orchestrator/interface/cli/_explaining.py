@@ -17,7 +17,7 @@ from orchestrator.formatting.explaining import (
 )
 from orchestrator.formatting.names import VERDICTS, plain
 from orchestrator.formatting.quantities import plural
-from orchestrator.formatting.results import part_notes
+from orchestrator.formatting.results import STAND_IN, part_notes
 from orchestrator.formatting.search_summary import search_summary
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
@@ -59,7 +59,8 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     if explanation.effects:
         say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
-        say_notes((*explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+        doubt = [STAND_IN] if explanation.verdict == "unknown_remains" else []
+        say_notes((*doubt, *explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
     if explanation.to_decide:
         say("", f"to decide: {explanation.to_decide}")
     if has_recording(path):

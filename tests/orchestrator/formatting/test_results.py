@@ -8,6 +8,7 @@ import pytest
 
 from orchestrator.formatting.results import (
     PART_MEANING,
+    STAND_IN,
     benefit_line,
     has_other_chi2,
     joint_bound,
@@ -151,6 +152,13 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     for whole in (0.9, 1.004):  # the second is written as 100 %
         report = report.model_copy(update={"effects": (effect(share=whole, material=True),)})
         assert share_notes(report) == [PART_MEANING]
+
+
+def test_effects_beside_something_unknown_may_stand_in_for_it() -> None:
+    report = a_diagnosis(verdict="unknown_remains", unexplained={"fraction": 0.9, "shape": ()})
+    assert report.leaves_most
+    assert STAND_IN in share_notes(report)
+    assert STAND_IN not in share_notes(a_diagnosis(verdict="explained"))
 
 
 def test_a_size_is_stated_beside_what_is_typical() -> None:
