@@ -7,6 +7,7 @@ where they use them.
 from orchestrator.analysis._between import steep_steps
 from orchestrator.analysis._captures import each_capture
 from orchestrator.analysis._checks import (
+    band_percent,
     check_map,
     difference_percent,
     flux_at,
@@ -84,6 +85,7 @@ __all__ = [
     "SweepTrace",
     "VoltageLosses",
     "axis_difference_rad",
+    "band_percent",
     "check_map",
     "close_loops",
     "count_reversals",

@@ -6,6 +6,7 @@ current; a quantity outside the map's range is None.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -43,6 +44,14 @@ def reference_flux_wb(flux_map: FluxMap, motor: Motor) -> float | None:
     The flux of the rated current where the map contains it; else that at the map's edge, or finally the magnet's.
     """
     return rated_flux_wb(flux_map, motor.rated_current_a) or edge_flux_wb(flux_map) or motor.pm_flux_wb
+
+
+def band_percent(flux_map: FluxMap, reference_wb: float | None) -> float | None:
+    """Half width of the 95 % band of one axis' flux, rms over the map; None where it is not known."""
+    variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
+    if not reference_wb or not np.isfinite(variance).any():
+        return None
+    return 100.0 * 1.96 * math.sqrt(0.5 * float(np.nanmean(variance))) / reference_wb
 
 
 def flux_at(flux_map: FluxMap) -> Callable[[Array], Array]:

@@ -4,8 +4,9 @@ The method is a weak form of the voltage equation: R_s, a co-energy map and the 
 windowed integrals of the record, whitened by the sensors' own noise. Effects are arguments; none is known by name.
 """
 
-from orchestrator.diagnosis._compare import bare_model_step, compare_recording, fits_as_well, model_step
+from orchestrator.diagnosis._compare import bare_model_step, compare_recording, model_step
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
+from orchestrator.diagnosis._known import KnownEffects
 from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, require_known
@@ -29,6 +30,7 @@ __all__ = [
     "Criteria",
     "Diagnosis",
     "InterimResult",
+    "KnownEffects",
     "Magnetics",
     "ModelChoice",
     "SavedDiagnosis",
@@ -39,7 +41,6 @@ __all__ = [
     "diagnose_recording",
     "diagnosis_step",
     "explanation_of",
-    "fits_as_well",
     "flux_map_of",
     "guarded",
     "in_words",

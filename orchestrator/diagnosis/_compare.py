@@ -24,10 +24,10 @@ from orchestrator.diagnosis.reporting.motor_model import require_effects_of, res
 from orchestrator.diagnosis.reporting.own_effects import contract_remarks
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
-from orchestrator.diagnosis.selection.contrasts import resembling, separable, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import resembling
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, evidence_gain
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
@@ -123,40 +123,6 @@ def compare_recording(
         crossings=_crossings(fit, rated),
         remarks=tuple(remarks),
     )
-
-
-@solvable
-def fits_as_well(recording: Recording, names: Sequence[str], name: str, other: str, effects: Sequence[Effect]) -> bool:
-    """Whether one effect, in another's place, fits a recording as well, as it lacks what tells the two apart.
-
-    Parameters
-    ----------
-    names : sequence of str
-        The effects of the model.
-    name, other : str
-        One of them, and the one in its place.
-    effects : sequence of Effect
-        The library.
-
-    Raises
-    ------
-    RecordingError, NotMeasuredError
-        As `diagnose_recording`.
-    """
-    known = {effect.name: effect for effect in effects}
-    # Few pairs need a measurement to be separated: the recording is read for those alone.
-    if not separating_contrasts(known[name], known[other]):
-        return False
-    setup = open_for_refit(recording, None)
-    if separable(setup.prepared, known[name], known[other]):
-        return False
-    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    rest = first_steps(setup, "saturated", {})[-1].fit
-    for one in names:
-        if one != name:
-            rest = with_effect(setup, rest, library[one])
-    fits = [with_effect(setup, rest, library[one]) for one in (name, other)]
-    return evidence_gain(fits[1], fits[0]) > -rest.criteria.selection.tie
 
 
 @solvable

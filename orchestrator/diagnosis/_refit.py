@@ -102,7 +102,12 @@ def add_effects(
     require_known([n for n in names if n not in MAP_RUNGS], effects)
     if saved is not None and names and (unchanged := unchanged_model(saved, names)) is not None:
         return unchanged
-    return _added(recording, names, effects, saved, model or "saturated", out, tell)
+    report = _added(recording, names, effects, saved, model or "saturated", out, tell)
+    if out is None or model is not None or saved is not None or not has_model(recording.path):
+        return report
+    text = "no {file} in {folder}: the model began without the effects of the recording's own; copy that to keep them"
+    began = Remark.of("no_model", text, file=MODEL_NAME, folder=str(out))
+    return report.model_copy(update={"remarks": (began, *report.remarks)})
 
 
 @solvable

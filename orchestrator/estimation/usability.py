@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.analysis._checks import difference_percent, flux_ratio, reference_flux_wb
+from orchestrator.analysis._checks import band_percent, difference_percent, flux_ratio, reference_flux_wb
 from orchestrator.numerics.types import Array
 from protocols import (
     AxisPercent,
@@ -228,19 +228,11 @@ def _energy(evidence: MapEvidence) -> UsabilityCheck:
 
 def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
     """The 95 % band of the flux, rms over the map."""
-    value = _band_percent(flux_map, reference_wb)
+    value = band_percent(flux_map, reference_wb)
     if value is None:
         return _missing("flux_band", "the flux has no standard deviation", required=True)
-    text = "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, rms over the map)"
+    text = "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, of noise alone, rms over the map)"
     return _within("flux_band", value, criteria.accuracy_percent, text, {"half_percent": value}, bad="uncertain_map")
-
-
-def _band_percent(flux_map: FluxMap, reference_wb: float | None) -> float | None:
-    """Half width of the 95 % band of one axis' flux, rms over the map; None where it is not known."""
-    variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
-    if not reference_wb or not np.isfinite(variance).any():
-        return None
-    return 100.0 * 1.96 * math.sqrt(0.5 * float(np.nanmean(variance))) / reference_wb
 
 
 def convex(flux_map: FluxMap) -> UsabilityCheck:
@@ -308,7 +300,7 @@ def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria
 def _bands_percent(evidence: MapEvidence) -> tuple[float, float] | None:
     """Half widths of the bands of injection's and integration's flux vector; None where one is not known."""
     reference = _reference_wb(evidence.maps, evidence.motor)
-    bands = [_band_percent(one, reference) for one in evidence.pair or ()]
+    bands = [band_percent(one, reference) for one in evidence.pair or ()]
     known = [math.sqrt(2.0) * band for band in bands if band is not None]
     return (known[0], known[1]) if len(known) == 2 else None
 

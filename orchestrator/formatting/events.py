@@ -128,6 +128,12 @@ def step_error_v(step: DiagnosisStep) -> float:
     return step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v
 
 
+SINGLE_READINGS = (
+    "the value of all holds together is outside these, as one reading also has the inverter's error at its current"
+)
+"""Why a mean may lie outside the first and the last reading."""
+
+
 def _resistance_source(estimate: ResistanceEstimate) -> str:
     """Of two values in one run, which is which: only the model takes out the winding's heating.
 
@@ -135,7 +141,10 @@ def _resistance_source(estimate: ResistanceEstimate) -> str:
     """
     if estimate.is_of_model:
         return "of the fitted model at 0 s, before any current warms the winding; the interval is of noise alone"
-    return f"by the estimators, over the whole run ({resistance_course(estimate)}); the interval is of noise alone"
+    source = f"by the estimators, over the whole run ({resistance_course(estimate)})"
+    low, high = sorted((estimate.first_ohm, estimate.last_ohm))
+    beside = "" if low <= estimate.value_ohm <= high else f"; {SINGLE_READINGS}"
+    return f"{source}{beside}; the interval is of noise alone"
 
 
 def _comparison(report: CompareReport) -> str:

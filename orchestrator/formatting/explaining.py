@@ -12,7 +12,7 @@ from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchM
 
 SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "needed", "chi2", "outcome")
 BASIS_HEAD = (
-    "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "steps",
+    "effect", "of its typical size", "error without it", "log evidence", "probability", "material", "steps",
     "indistinguishable from",
 )  # fmt: skip
 LOG_EVIDENCE_SCALE = (
@@ -161,8 +161,8 @@ def accuracy_sentences(report: DiagnosisReport) -> list[str]:
         is_right = report.verdict in ("clean", "explained", "explained_in_another_form")
         start = "The model's" if is_right else "If the model is right, its"
         sentences.append(
-            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
-            "measured currents)."
+            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, of noise "
+            "alone, rms over the measured currents; over the whole map, edges included, it is more)."
         )
     return sentences
 

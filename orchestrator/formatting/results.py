@@ -50,9 +50,14 @@ NOISE_FLOOR_MEANING = (
     "samples as the error beside it."
 )
 PART_MEANING = (
-    "of the error: the rms error that returns without the effect, over the first model's; parts do not add up to "
-    "100 %, as each is of the kind of stage where it is largest"
+    "error without it: the rms error that returns without the effect, over the first model's; each is of the kind of "
+    "stage where it is largest, so that they do not add up to 100 %"
 )
+STAND_IN = (
+    "probability and material are of these effects if nothing else acts; something unknown does, and may be what they "
+    "take up"
+)
+"""How to read effects of a model that leaves most of the error."""
 REFIT_MEANING = (
     "chi2 differs from that of the same effects in the diagnosis: `add` and `remove` keep the map grid and the "
     "effects' forms that the whole model had, a diagnosis chooses them at each step"
@@ -73,6 +78,10 @@ UNCHANGED = "unchanged over the recording"
 _ENDS = ["in the first segment", "in the last"]
 
 
+BEYOND_A_RUN = "your sensors' gain and the bus voltage's error, which no run shows, come on top"
+"""What adds to the error of a map and of R_s, in words."""
+
+
 def resistance(estimate: ResistanceEstimate) -> str:
     """R_s with its 95 % interval."""
     return measured(estimate.value_ohm, estimate.low, estimate.high, "ohm")
@@ -91,6 +100,24 @@ def resistance_course(estimate: ResistanceEstimate) -> str:
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
     )
+
+
+def accuracy_words(report: EstimatorsReport) -> str:
+    """What a usable map and its R_s are worth: by noise, by how far methods agree, and beyond that; empty otherwise."""
+    if not report.usable:
+        return ""
+    bands = [check.value for check in report.checks if check.name == "flux_band" and check.value is not None]
+    parts = [f"the map ±{percent(bands[0])} of the rated flux (rms over the map)"] if bands else []
+    if (known := report.resistance) is not None and known.value_ohm > 0.0:
+        parts.append(f"R_s ±{percent(50.0 * (known.high - known.low) / known.value_ohm)}")
+    if not parts:
+        return ""
+    each = "each " if len(parts) > 1 else ""
+    sentences = [f"{' and '.join(parts)}, {each}95 % and of the readings' noise alone"]
+    if (apart := report.classical_against_injection_percent) is not None:
+        methods = "two independent methods, sweeps and injection, differ by"
+        sentences.append(f"{methods} {percent(apart)} of the rated flux (rms)")
+    return "; ".join([*sentences, BEYOND_A_RUN])
 
 
 def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
@@ -210,7 +237,7 @@ def trace_words(report: DiagnosisReport) -> list[str]:
 def joint_bound(entry: JointEntry) -> str:
     """How large an effect may be by the joint fit at 95 %: ``at most 1.31 mV``; empty where that is not known."""
     size = entry.size
-    if size is None or size.low is None:
+    if size is None or size.low is None or (size.high is not None and not max(abs(size.low), abs(size.high)) > 0.0):
         return ""
     if size.high is None:
         return f"{parameter_words(entry.parameter)} at least {quantity(size.low, size.unit)}"
@@ -229,6 +256,14 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
         )
         for effect in effects
     ]
+
+
+def mutual_twins(effects: Sequence[FoundEffect]) -> dict[str, tuple[str, ...]]:
+    """What fits as well in each effect's place, by its name; of two effects of the model each is the other's."""
+    return {
+        one.name: (*one.twins, *(o.name for o in effects if one.name in o.twins and o.name not in one.twins))
+        for one in effects
+    }
 
 
 def size_in_words(effect: FoundEffect) -> str:
@@ -258,7 +293,7 @@ def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
     """What a part of the error is, and why one is above 100 %."""
     parts = [effect.share for effect in effects if effect.share is not None]
     large = (
-        "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
+        "error without it above 100 %: without this effect the model's error would exceed that of the first model, "
         "whose R_s and map compensated a part of it"
     )
     return [PART_MEANING] * bool(parts) + [large] * any(part >= 1.005 for part in parts)
@@ -267,6 +302,8 @@ def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
 def share_notes(report: DiagnosisReport) -> list[str]:
     """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
     notes = part_notes((*report.effects, *report.minor))
+    if report.effects and report.leaves_most:
+        notes.append(STAND_IN)
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)

@@ -11,13 +11,14 @@ from protocols import SearchEvent, SearchMove
 
 MIN_FALL_RATIO = 0.1
 """Fall of chi2 over its former value from which a shape that is fitted too is worth a sentence."""
+LESS_EVIDENCE = "with less log evidence, which decides and counts parameters and usual sizes, too"
 DATA_LINES = {"part": "on a part of the recording, which is faster:", "whole": "on the whole recording:"}
 
 
 def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     """What a search did, in order: a sentence for each decisive move, with its number.
 
-    A line without a number says on which data the next moves were made.
+    A line without a number says on which data the next moves were made. A sentence that would be repeated is left out.
     """
     last_screen = max((e.step for e in events if e.move == "screen" and e.data == "whole"), default=None)
     lines: list[str] = []
@@ -25,6 +26,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     tried: list[SearchEvent] = []
     model: set[str] = set()
     found_together: set[str] = set()
+    stated: set[str] = set()
     for event in events:
         if event.move == "screen":
             tried = []
@@ -38,8 +40,9 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
                 sentence = f"{sentence}{_new_ones(found_together - set(event.effects))}"
                 found_together = set()
             model = _model_after(event, model)
-        if sentence is None:
+        if sentence is None or sentence in stated:
             continue
+        stated.add(sentence)
         if event.data != data:
             data = event.data
             lines.append(DATA_LINES[data])
@@ -101,8 +104,16 @@ def _removed(event: SearchEvent) -> str | None:
 def _exchanged(event: SearchEvent) -> str | None:
     new, old = (plain(name) for name in event.effects)
     if event.decision == "accepted":
-        return f"{new} takes the place of {old}: {_course(event)}"
-    return f"{new} in place of {old}: {event.note}, chi2 {number(event.chi2_after, 4)}" if event.note else None
+        tie = f", two that {_BY[event.data]} does not separate" if event.note else ""
+        return f"{new} takes the place of {old}: {_course(event)}{tie}"
+    if not event.note:
+        return None
+    values = [number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None]
+    sizes = f"chi2 {values[0]} with {old}, {values[1]} with {new}" if len(values) == 2 else f"chi2 {listed(values)}"
+    return f"{new} in place of {old}: {_BY[event.data]} does not separate the two, {sizes}"
+
+
+_BY: Mapping[str, str] = {"part": "this part", "whole": "the recording"}
 
 
 def _none_is_missing(event: SearchEvent) -> str | None:
@@ -117,7 +128,9 @@ def _runner_up(event: SearchEvent, tried: Sequence[SearchEvent]) -> str:
     if not others:
         return ""
     best = max(others, key=lambda one: one.score or 0.0)
-    return f"; {_names(best)} instead would leave {number(best.chi2_after, 4)}"
+    leaves = f"; {_names(best)} instead would leave {number(best.chi2_after, 4)}"
+    is_lower = event.chi2_after is not None and best.chi2_after is not None and best.chi2_after < event.chi2_after
+    return f"{leaves}, {LESS_EVIDENCE}" if is_lower else leaves
 
 
 def _shape(event: SearchEvent) -> str | None:
@@ -129,7 +142,7 @@ def _shape(event: SearchEvent) -> str | None:
 
 _ACCEPTED: Mapping[SearchMove, Callable[[SearchEvent], str | None]] = {
     "baseline": lambda e: f"the search begins at chi2 {number(e.chi2_after, 4)}",
-    "full_model": lambda e: f"all {len(e.effects)} effects are fitted together: {_course(e)}",
+    "full_model": lambda e: f"all {len(e.effects)} effects that it can show are fitted together: {_course(e)}",
     "free_shape": _shape,
     "switch_form": lambda e: f"{_names(e)} takes its other form: {_course(e)}",
     "finer_map": lambda e: f"a finer flux map is taken: {_course(e)}",

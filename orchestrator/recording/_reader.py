@@ -89,13 +89,16 @@ class Recording:
         )
 
 
+_CHANGED = "the file was changed since it was measured; restore it from a copy, or measure again"
+
+
 def _read(path: Path, segment: Segment) -> bytes:
     try:
         content = path.read_bytes()
     except OSError as error:
         raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     if segment.sha256 is not None and hashlib.sha256(content).hexdigest() != segment.sha256:
-        raise RecordingError(str(path), "sha256", f"differs from the one in {MANIFEST_NAME}: the file was changed")
+        raise RecordingError(str(path), "sha256", f"differs from the one in {MANIFEST_NAME}: {_CHANGED}")
     return content
 
 

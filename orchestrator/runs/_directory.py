@@ -71,6 +71,10 @@ def is_run(path: Path) -> bool:
     return (path / _RECORD).is_file()
 
 
+def _not_created(error: OSError) -> str:
+    return f"cannot be created: {error.strerror or error}; choose another place with --out"
+
+
 class RunDirectory:
     """One run on disk.
 
@@ -129,7 +133,7 @@ class RunDirectory:
             run.private_directory.mkdir(exist_ok=True)
             run.private_directory.chmod(0o700)
         except OSError as error:
-            raise StorageError(f"{run.path}: cannot be created: {error.strerror or error}") from error
+            raise StorageError(f"{run.path}: {_not_created(error)}") from error
         replace_file(secrets, (json.dumps(hidden, indent=1) + "\n").encode())
         write_json(run.path / _RECORD, record)
         return run
@@ -160,7 +164,7 @@ class RunDirectory:
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(str(path), "", f"cannot be created: {error.strerror or error}") from None
+            raise RecordingError(str(path), "", _not_created(error)) from None
         with ExitStack() as held:
             try:
                 held.enter_context(_flock(path))

@@ -198,7 +198,7 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"{out}: cannot be created: {error.strerror or error}") from error
+        raise StorageError(f"{out}: cannot be created: {error.strerror or error}; --out names another place") from error
     for name, content in contents.items():
         replace_file(out / name, content)
     return report

@@ -147,7 +147,9 @@ class _Reading:
             return self._document(event for event in events if not isinstance(event, yaml.StreamStartEvent))
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            raise ProcedureError(self._at(mark), "", f"not YAML: {error.problem or error.context}") from None
+            problem = error.problem or error.context or ""
+            advice = "; a tab stands here: indent with spaces" if "'\\t'" in problem else ""
+            raise ProcedureError(self._at(mark), "", f"not YAML: {problem}{advice}") from None
         except yaml.YAMLError as error:
             raise ProcedureError(self._name, "", f"not YAML: {str(error).splitlines()[0]}") from None
 

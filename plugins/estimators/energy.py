@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.analysis import EnergyFit, check_map, reference_flux_wb
+from orchestrator.analysis import EnergyFit, band_percent, check_map, reference_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded
 from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux, axis_turned
@@ -62,10 +62,12 @@ class EnergyEstimator:
         def add(code: str, text: str, **values: float) -> None:
             remarks.append(Remark.of(code, text, **values))
 
-        if rated:
-            spread = np.sqrt(np.nanmean(flux_map.psi_d_std**2 + flux_map.psi_q_std**2))
-            text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
-            add("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
+        band = band_percent(flux_map, rated)
+        if band is not None:
+            text = (
+                "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, of noise alone, rms over the map)"
+            )
+            add("flux_error", text, half_percent=band)
         if fit.angle_rad:
             remarks.append(axis_turned(fit.angle_rad))
         inductance = fit.inductance(current)[0]

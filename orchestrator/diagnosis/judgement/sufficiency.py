@@ -168,7 +168,7 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
     elif not amplitudes:
         add("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < MIN_AMPLITUDE_RATIO * min(amplitudes):
-        add("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+        add("one_amplitude", "one injection amplitude only: eddy currents and hysteresis would be hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
         add(
             "no_magnet_flux",

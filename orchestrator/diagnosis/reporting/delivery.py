@@ -122,7 +122,7 @@ def objections_to(
         against.append(Remark.of("cannot_tell", text))
     residual = left_of_excitation(fit)
     if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
-        text = "{left_percent:.2g} % of the voltage is left unexplained: `compare` shows where"
+        text = "{left_percent:.2g} % of the voltage of one kind of stage is left unexplained: `compare` shows which"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
     largest = max(moved, key=lambda name: moved[name], default=None)
     max_percent = limits.verdict.widest_band_percent
@@ -135,7 +135,12 @@ def objections_to(
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += size_remarks(fit)
     if band_percent > max_percent:
+<<<<<<< HEAD
         against.append(_uncertain_map(band_percent, widening, max_percent))
+=======
+        text = "the model's map is known to +-{band_percent:.2g} % of the rated flux (95 %, at the measured currents)"
+        against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
+>>>>>>> r57
     return [one.by(METHOD) for one in against]
 
 

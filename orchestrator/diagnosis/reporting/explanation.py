@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.results import effect_notes
+from orchestrator.formatting.results import effect_notes, mutual_twins
 from protocols import DiagnosisReport, EffectBasis, Explanation, MotorModel, SearchEvent
 
 
@@ -16,6 +16,8 @@ def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> 
     model : MotorModel, optional
         The recording's model as it is now.
     """
+    twins = mutual_twins(report.effects)
+    apart = [remark.text for remark in report.remarks if remark.code == "separated"]
     return Explanation(
         recording=report.recording,
         verdict=report.verdict,
@@ -30,12 +32,12 @@ def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> 
                 probability=effect.probability,
                 share=effect.share,
                 material=effect.material,
-                twins=effect.twins,
+                twins=twins[effect.name],
                 steps=tuple(event.step for event in report.search if _supports(event, effect.name)),
             )
             for effect in report.effects
         ),
-        notes=tuple(effect_notes(report)),
+        notes=(*effect_notes(report), *apart),
         model_changes=() if model is None else model_changes(report, model),
     )
 

@@ -206,6 +206,21 @@ def imitated_shares(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[Ca
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
+def own_signal(fitter: Fitter, fit: Fit, name: str, beside_others: bool) -> float:
+    """chi2 of the signal of one effect of the model; of what the map and the other effects do not imitate of it.
+
+    Parameters
+    ----------
+    beside_others : bool
+        Whether the other effects of the model adapt; otherwise the map and R_s alone do.
+    """
+    columns = fit.model.free
+    normal, _ = fitter.evaluate(fit.model, fit.linearisation, known=fit).projected()
+    own = [k for k, (term, n) in enumerate(columns) if term.name == name and n in term.candidate.amplitudes]
+    others = [k for k, (term, _) in enumerate(columns) if term.name != name] if beside_others else []
+    return _signal(normal, own, others, np.array([columns[k][0].standardised_value(columns[k][1]) for k in own]))
+
+
 def resembling(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[CandidateEffect]) -> list[str]:
     """The effects of the model and candidates that resemble an effect of the model, the most similar first."""
     shares = imitated_shares(fitter, fit, name, candidates)

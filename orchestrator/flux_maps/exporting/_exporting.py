@@ -129,7 +129,7 @@ def export_map(
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"{out}: cannot be created: {error.strerror or error}") from error
+        raise StorageError(f"{out}: cannot be created: {error.strerror or error}; --out names another place") from error
     files = []
     for name, written in contents.items():
         path = out / _WRITERS[name][0]

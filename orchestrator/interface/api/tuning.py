@@ -140,13 +140,15 @@ def _clarke_of_three(path: Path) -> bool | None:
 
 
 def _way_to_a_usable_map(path: Path) -> str:
-    """The command that makes the map usable again after `remove`, else the one that looks for the cause."""
+    """The command that makes the map usable again after `remove`, else the one that has the reasons or finds them."""
     from orchestrator.diagnosis import load_diagnosis, removed_effects
 
     place, saved = shlex.quote(str(path)), load_diagnosis(path)
     removed = removed_effects(saved.report, read_model(path)) if saved is not None and has_model(path) else ()
     if removed:
         return f"`fluxbench add {place} {' '.join(removed)}` puts back what was removed since the diagnosis"
+    if saved is not None:
+        return f"`fluxbench explain {place}` has the reasons"
     return f"`fluxbench diagnose {place}` looks for the cause"
 
 

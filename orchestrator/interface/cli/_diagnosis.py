@@ -19,6 +19,7 @@ from orchestrator.formatting.results import (
     CHI2_OF_NOISE_MEANING,
     NOISE_FLOOR_MEANING,
     REFIT_MEANING,
+    accuracy_words,
     benefit_line,
     by_import,
     has_other_chi2,
@@ -35,8 +36,12 @@ from orchestrator.interface.cli._interrupting import Interruption, prompt_interr
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.interface.cli._refreshing import refresh_report
 from orchestrator.interface.cli._results import in_capitals
+<<<<<<< HEAD
 from orchestrator.runs import is_run
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
+=======
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport, InputError
+>>>>>>> r57
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import InterimResult
@@ -102,6 +107,9 @@ def add(
     path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
 ) -> int:
     """Refit with these effects."""
+    names = [name for word in names for name in word.split(",") if name]
+    if not names:
+        raise InputError("EFFECT", "", "expected names of effects, separated by spaces or commas")
     with prompt_interrupt():
         tell = _progress(as_json).result
         report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
@@ -158,7 +166,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.convention is None:
         _print_ladder(report)
         say_notes([NOISE_FLOOR_MEANING])
-    heads = ("size", "of the error", "probability", "material")
+    heads = ("size", "error without it", "probability", "material")
     if report.leaves_most and report.effects:
         say_table(("takes up a part", *heads[:2]), [row[:3] for row in share_rows(report.effects)])
     elif report.effects:
@@ -183,7 +191,12 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     """Print R_s and the map of the diagnosis, or why the map is not reliable."""
     if estimates.usable and estimates.resistance is not None:
         say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
+<<<<<<< HEAD
         say_notes(r.text for r in estimates.remarks if r.code in ("far_from_nameplate", "common_factor"))
+=======
+        say(*(f"accuracy: {words}" for words in filter(None, [accuracy_words(estimates)])))
+        say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
+>>>>>>> r57
         return
     why = next((r.text for r in estimates.remarks), "no estimator succeeded")
     say(f"flux map: {in_capitals(estimates.usability)}: {why}")

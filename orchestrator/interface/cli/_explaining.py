@@ -17,12 +17,12 @@ from orchestrator.formatting.explaining import (
 )
 from orchestrator.formatting.names import VERDICTS, plain
 from orchestrator.formatting.quantities import plural
-from orchestrator.formatting.results import part_notes
+from orchestrator.formatting.results import STAND_IN, part_notes
 from orchestrator.formatting.search_summary import search_summary
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from orchestrator.recording import has_recording
-from protocols import Explanation
+from protocols import Explanation, FluxbenchError
 
 
 def explain(path: Path, steps: bool, as_json: bool) -> int:
@@ -59,11 +59,27 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     if explanation.effects:
         say("", "evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
-        say_notes((*explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+        doubt = [STAND_IN] if explanation.verdict == "unknown_remains" else []
+        say_notes((*doubt, *explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
     if explanation.to_decide:
         say("", f"to decide: {explanation.to_decide}")
     if has_recording(path):
-        say(f"next: {NEXT_STEPS[explanation.verdict].format(run=run)}")
+        next_step = NEXT_STEPS[explanation.verdict].format(run=run)
+        say(f"next: {(_unusable(path, run) if '`fluxbench tune' in next_step else '') or next_step}")
     else:
         next_step = NEXT_STEPS[explanation.verdict].format(run="RECORDING")
         say(f"next: {next_step}; RECORDING is that of {explanation.recording!r}, {path} has its results alone")
+
+
+def _unusable(path: Path, run: str) -> str:
+    """What to do where the estimates beside a diagnosis have a map that is not usable; empty otherwise."""
+    from orchestrator.estimation import load_estimates
+
+    try:
+        report = load_estimates(path)
+    except FluxbenchError:  # never estimated
+        return ""
+    if report.usable or report.method is None:
+        return ""
+    why = next((remark.text for remark in report.remarks), "a check is not met")
+    return f"do not use the map yet: {why}; `fluxbench estimate {run}` prints each check"

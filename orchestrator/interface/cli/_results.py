@@ -8,6 +8,7 @@ from pathlib import Path
 from orchestrator.formatting.quantities import UNKNOWN
 from orchestrator.formatting.results import (
     USABILITY_WORDS,
+    accuracy_words,
     check_rows,
     coefficient_rows,
     resistance,
@@ -55,6 +56,8 @@ def _print_report(report: EstimationReport, folder: Path) -> None:
         say_table(("agreement of the maps", "difference"), known)
     if report.checks:
         say_table(("usable only if", "value", "limit", "outcome"), usability_rows(report))
+    if accuracy := accuracy_words(report):
+        say(f"accuracy: {accuracy}")
     for method, map_report in report.maps.items():
         if map_report.form is not None:
             say(f"{method}: {map_report.form.formula}")

@@ -68,7 +68,8 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     except FileExistsError:
         raise InputError(str(folder), "", "exists already; nothing was written") from None
     except OSError as error:
-        raise InputError(str(folder), "", f"cannot be created: {error.strerror or error}") from None
+        why = f"cannot be created: {error.strerror or error}; --out names another folder"
+        raise InputError(str(folder), "", why) from None
     try:
         for relative, text in texts.items():
             path = folder / relative

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,6 +17,7 @@ from plugins.command_line import AsJson, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
+    from orchestrator.diagnosis import KnownEffects
     from plugins.commands.mystery._guessing import Effects, GuessedSize, Verdict
     from protocols import Procedure
 
@@ -29,6 +29,9 @@ FORM_MEANING = (
     "* of the simulated motor's own formula. The library's formulas are written independently: of another curve the "
     "best value is another, and may lie outside the diagnosis' interval."
 )
+TOO_SMALL = "hidden, but too small, or too similar to the others, for this recording; no name is missing for it"
+SAME_SIZE: float = 0.01
+"""Relative difference of a hidden size and of the one that came of it, from which both are printed."""
 WHOLE = "expected a whole number from 0 on"
 
 
@@ -61,13 +64,18 @@ def mystery(
     if guess is None and not reveal:
         return _measure(number, path, quiet, as_json)
     if not is_run(path):
-        raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
+        here = "not measured here" if out is None else "no mystery is there"
+        where = ", below the folder in which you are; go to where you measured it, or" if out is None else ";"
+        again = f"`fluxbench mystery {number}{'' if out is None else f' --out {path}'}` measures it"
+        raise InputError(str(path), "", f"{here}{where} {again}")
     _refuse_unfinished(path)
     verdict = None
     if guess is not None:
         sealed, caused = sealed_effects(path), caused_effects(path)
-        alike = partial(_fits_as_well, path, list({**sealed, **caused}))
-        verdict = judge(read_guess(guess), sealed, _fitted(path), caused, alike)
+        guesses, known = read_guess(guess), _known(path, {**sealed, **caused})
+        verdict = judge(
+            guesses, sealed, _fitted(path), caused, lambda guessed, name: known.fits_as_well(name, guessed), known.shows
+        )
     hidden = sealed_effects(path) if reveal else None
     if as_json:
         _print_json(path, verdict, hidden)
@@ -80,7 +88,9 @@ def mystery(
             sizes = _sizes_in_words(name, parameters)
             if name not in hidden:
                 _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
-            elif sizes != _sizes_in_words(name, {key: hidden[name].get(key, 0.0) for key in parameters}):
+            elif any(
+                abs(value - hidden[name].get(key, 0.0)) > SAME_SIZE * abs(value) for key, value in parameters.items()
+            ):
                 _print_line(f"{name}: with what the run itself caused, the recording has {sizes}")
     return 0
 
@@ -106,7 +116,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     if as_json:
         _print_json(path)
     elif quiet:
-        _print_line(f"{path} is measured; next: fluxbench diagnose {path}")
+        _print_line(f"{path} is measured; next: fluxbench report {path}")
     else:
         _print_line(f"{path} is a motor with something hidden in it, or nothing. How far the model without it is off:")
         _print_line(f"  fluxbench compare {path}")
@@ -174,18 +184,31 @@ def _print_verdict(verdict: Verdict) -> None:
         suffix = f"; {_graded(size)}" if size else "; no size was given"
         _print_line(f"{name}: right{suffix}")
     for name in verdict.as_good:
-        _print_line(f"{name}: as good: this recording cannot tell it from what is hidden")
+        _print_line(f"{name}: as good: it fits this recording as well as what is hidden")
+    for name in verdict.caused:
+        suffix = f"; {_graded(sizes[name])}" if name in sizes else ""
+        _print_line(f"{name}: present, but not one of the hidden: the run itself caused it{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
+    if len(verdict.wrong) > 1:
+        count = len(verdict.right + verdict.as_good + verdict.caused + verdict.wrong)
+        _print_line(f"{len(verdict.wrong)} of {count} names are wrong.")
+    if verdict.too_small:
+        _print_line(f"{verdict.too_small} more {'is' if verdict.too_small == 1 else 'are'} {TOO_SMALL}.")
     if verdict.complete:
-        _print_line(
-            "That is all there is." if verdict.right or verdict.as_good else "Right: nothing is hidden in this motor."
-        )
+        _print_line(_complete(verdict))
     elif verdict.still_hidden:
-        is_part = bool(verdict.right or verdict.as_good)
+        is_part = bool(verdict.right or verdict.as_good or verdict.too_small)
         more = " more" if is_part else ""
         hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
-        _print_line(hidden if is_part or verdict.wrong else f"nothing: wrong; {hidden}")
+        _print_line(hidden if is_part or verdict.wrong or verdict.caused else f"nothing: wrong; {hidden}")
+
+
+def _complete(verdict: Verdict) -> str:
+    is_shown = "that this recording shows" if verdict.too_small else "there is"
+    if verdict.right or verdict.as_good:
+        return f"That is all {is_shown}."
+    return f"Right: {'this recording shows nothing more' if verdict.too_small else 'nothing is hidden in this motor'}."
 
 
 def _graded(size: GuessedSize) -> str:
@@ -223,13 +246,13 @@ def _error(ratio: float | None) -> str:
     return f"{number(max(ratio, 1.0 / ratio), 3)} times too {'large' if ratio > 1.0 else 'small'}"
 
 
-def _fits_as_well(path: Path, hidden: Sequence[str], guessed: str, name: str) -> bool:
-    """Whether a guessed effect in a hidden one's place fits the recording as well."""
-    from orchestrator.diagnosis import fits_as_well
+def _known(path: Path, true: Effects) -> KnownEffects:
+    """What the recording tells of the effects that are in it; nothing is computed yet."""
+    from orchestrator.diagnosis import KnownEffects
     from orchestrator.interface.api import chosen_effects
     from orchestrator.recording import open_recording
 
-    return fits_as_well(open_recording(path), hidden, name, guessed, chosen_effects())
+    return KnownEffects(open_recording(path), true, chosen_effects())
 
 
 def _fitted(path: Path) -> dict[str, dict[str, float]]:

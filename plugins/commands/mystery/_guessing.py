@@ -15,10 +15,12 @@ from orchestrator.formatting.sentences import listed
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.validation.quantities import value_in
-from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
+from plugins.commands.mystery._drawing import HOW_MANY, MIN_ANGLE_RAD
 from protocols import Contrast, InputError, ParameterRole, Strict
 
 NOTHING = "nothing"
+MAX_GUESSES: int = max(HOW_MANY) + 1
+"""Names in one guess: those that may be hidden, and one that the run itself may cause."""
 _POWER = re.compile("·10([⁻⁰¹²³⁴-⁹]+)")
 _DIGITS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _KEYS = {ord("−"): "-"}
@@ -51,9 +53,14 @@ class Verdict(Strict):
 
     right: tuple[str, ...]
     as_good: tuple[str, ...]
-    """Not hidden, but the recording cannot tell each from a hidden one; these count as right."""
+    """Not hidden, but each fits the recording as well in the place of a hidden one; these count as right."""
+    caused: tuple[str, ...]
+    """In the recording, but not hidden: the run itself caused them."""
     wrong: tuple[str, ...]
     still_hidden: int
+    """Hidden effects that the recording shows and the guess lacks."""
+    too_small: int = 0
+    """Hidden effects that the guess lacks and the recording does not show beside the others."""
     sizes: tuple[GuessedSize, ...]
 
     @property
@@ -68,7 +75,8 @@ def read_guess(words: str) -> tuple[Guess, ...]:
     Raises
     ------
     InputError
-        For an unknown effect, a repeated name, or a size that is neither a number nor a quantity.
+        For an unknown effect, a repeated name, a size that is neither a number nor a quantity, or more than
+        `MAX_GUESSES` names.
     """
     if words.strip() == NOTHING:
         return ()
@@ -88,6 +96,9 @@ def read_guess(words: str) -> tuple[Guess, ...]:
         guesses[name] = Guess(name=name, size=_number(name, size) if equals else None)
     if not guesses:
         raise InputError("--guess", "", f"empty; give {NOTHING} if you found none")
+    if len(guesses) > MAX_GUESSES:
+        what = f"so many names are no guess: at most {max(HOW_MANY)} effects are hidden, and the run may cause one more"
+        raise InputError("--guess", f"{len(guesses)} names", what)
     return tuple(guesses.values())
 
 
@@ -144,6 +155,7 @@ def judge(
     fitted: Effects,
     extra: Effects | None = None,
     fits_as_well: Callable[[str, str], bool] = lambda guessed, hidden: False,
+    shows: Callable[[str], bool] = lambda hidden: True,
 ) -> Verdict:
     """Compare guesses with the hidden effects.
 
@@ -152,14 +164,16 @@ def judge(
     fitted : mapping
         Parameters of the recording's model: stated beside guesses without a size.
     extra : mapping, optional
-        Effects that the run itself caused (`caused_effects`): correct where they are guessed, but not missing where
+        Effects that the run itself caused (`caused_effects`): not wrong where they are guessed, and not missing where
         they are not.
     fits_as_well : callable
         Whether a guessed effect in a hidden one's place fits the recording as well, by their names.
+    shows : callable
+        Whether the recording shows a hidden effect beside the others, by its name.
     """
     guesses = tuple(guesses)
     true = {**hidden, **(extra or {})}
-    right = tuple(guess.name for guess in guesses if guess.name in true)
+    right = tuple(guess.name for guess in guesses if guess.name in hidden)
     missing = [name for name in hidden if name not in right]
     as_good = []
     for guess in guesses:
@@ -167,12 +181,15 @@ def judge(
         if twin is not None:
             missing.remove(twin)
             as_good.append(guess.name)
+    shown = [name for name in missing if shows(name)]
     sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(
         right=right,
         as_good=tuple(as_good),
+        caused=tuple(guess.name for guess in guesses if guess.name in true and guess.name not in hidden),
         wrong=tuple(guess.name for guess in guesses if guess.name not in (*true, *as_good)),
-        still_hidden=len(missing),
+        still_hidden=len(shown),
+        too_small=len(missing) - len(shown),
         sizes=tuple(size for size in sizes if size is not None),
     )
 

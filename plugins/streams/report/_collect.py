@@ -122,7 +122,8 @@ def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False
     hand is evaluated.
     """
     if not is_worth_a_report(directory):
-        raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
+        nothing = "neither run.json nor recording.json is there: give the folder of a run or of a recording"
+        raise RecordingError(str(directory), "", nothing)
     # Its kernels take a second to import, and the stream is loaded when a run begins.
     from orchestrator.diagnosis import bare_model_step, load_diagnosis, model_changes, model_step
     from orchestrator.interface.api import chosen_effects

@@ -185,7 +185,7 @@ def checks(material: Material) -> Iterator[Check]:
         ),
         (
             "Classical against injection",
-            "rms of the flux difference over the plane, of the rated flux.",
+            "rms of the flux difference over the plane, of the rated flux: two methods, each with errors of its own.",
             report.classical_against_injection_percent,
             limits.accuracy_percent,
             "",

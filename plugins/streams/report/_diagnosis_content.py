@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
-from orchestrator.formatting.results import joint_bound, parameter_rows, trace_words
+from orchestrator.formatting.results import joint_bound, mutual_twins, parameter_rows, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
@@ -82,9 +82,10 @@ def signature_rows() -> Rows:
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
     """Every parameter of every effect with value and interval, and the effects that fit as well in its place."""
     rows: Rows = []
-    for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
+    every = (*diagnosis.report.effects, *diagnosis.report.minor)
+    for effect in every:
         name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
-        twins = listed([plain(twin) for twin in effect.twins]) or "none"
+        twins = listed([plain(twin) for twin in mutual_twins(every)[effect.name]]) or "none"
         rows += [
             (name if k == 0 else "", *row, twins if k == 0 else "") for k, row in enumerate(parameter_rows(effect))
         ]

@@ -83,7 +83,11 @@ def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
-    gain = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
+    gain = (
+        ""
+        if before is after
+        else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}{_of(after)}."
+    )
     panels = figures.plane_figures(before, after)
     yield Picture(
         "Residual on the current plane",
@@ -96,6 +100,7 @@ def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
     texts = [
         SIGN,
         "The three phases over each other, with their medians.",
+        "Where few points lie, as near zero, the medians zigzag by chance.",
         _put_back(before, after),
         _pwm(after),
         _hidden_in_resistance(before, after),
@@ -115,7 +120,7 @@ def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
     is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
     meaning = (
         "Where the phases fall together on one odd curve, the inverter is at fault; where their slopes differ, unequal "
-        "resistances or current sensors are."
+        "resistances or current sensors are; where whole phases lie apart, a constant voltage or a sensor's offset is."
     )
     hidden = "A star connection hides the voltage that all three have in common"
     if not any(is_one_curve.values()):
@@ -194,7 +199,10 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
 
 def _open_loop(loop: FluxLoop) -> str:
     """What it means where rising and falling current do not fall together, beside what noise makes of it."""
-    text = "Rising and falling apart: a loop."
+    text = (
+        "Rising and falling apart: a loop, for example of iron with memory, of a rotor that twists, or of a constant "
+        "voltage error, which the integral sums."
+    )
     if loop.noise_wb is None:
         return text
     apart = number(2e3 * loop.noise_wb, 2)
@@ -210,8 +218,8 @@ def _evenness(first: FluxLoop, loop: FluxLoop, is_one: bool) -> str:
     of_model = model[0] if is_one else f"{model[0]} before, {model[1]} after"
     return (
         f"{loop.segment}: the flux of the d axis while q is swept. A symmetric motor locked at the angle that the "
-        "drive believes has the same on the left and on the right. A tilt is of the angle, of the slots, or of "
-        f"unequal sensors. The odd part, rms: measured {measured}, model {of_model}."
+        "drive believes has the same on the left and on the right. A tilt is for example of the angle, of the slots or "
+        f"of sensors that are unequal or have an offset. The odd part, rms: measured {measured}, model {of_model}."
     )
 
 
@@ -239,3 +247,8 @@ def _effects(step: DiagnosisStep) -> str:
 
 def _error(step: DiagnosisStep) -> str:
     return quantity(step_error_v(step), "V")
+
+
+def _of(step: DiagnosisStep) -> str:
+    """Which samples the errors are of, as a page states those of the fitted ones, too."""
+    return "" if step.heldout_rms_v is None else ", both held out"

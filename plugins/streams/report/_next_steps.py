@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, in_degrees, operating_point, predicted_separation, quantity
-from orchestrator.formatting.results import by_import
+from orchestrator.formatting.results import accuracy_words, by_import
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
@@ -19,12 +19,14 @@ from protocols import DriveRecord, FoundEffect, PluginError, Usability, is_compe
 
 
 def next_steps(material: Material) -> list[Line]:
-    """One line on the map, one on the diagnosis; between them the changes of the model since."""
+    """One line on the map, one on its accuracy, one on the diagnosis; between them the changes of the model since."""
     lines = [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
+    if material.estimates is not None and (accuracy := accuracy_words(material.estimates)):
+        lines.insert(1, Line("Accuracy", f"{typographic(accuracy)}."))
     if material.model_changes:
         changes = ", ".join(material.model_changes)
         text = f"model.json was changed since the diagnosis: {changes}. R_s and the map are of model.json; ladder and "
-        lines.insert(1, Line("Changed", text + "effects are of the diagnosis."))
+        lines.insert(-1, Line("Changed", text + "effects are of the diagnosis."))
     return lines
 
 
@@ -50,7 +52,9 @@ def _about_model(material: Material) -> str:
     if material.diagnosis is None:
         is_drawn = material.bare is not None or material.manifest is None
         draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
-        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
+        is_sealed = material.record is not None and bool(material.record.sealed)
+        spoils = ", and gives most of what is hidden in this motor away" if is_sealed else ""
+        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{spoils}{draws}."
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
@@ -78,7 +82,9 @@ def _about_model(material: Material) -> str:
         return f"{to_decide}; compensate nothing until then."
     drive = None if material.manifest is None else material.manifest.drive
     remedy = _remedy([effect for effect in report.effects if effect.material is not False], drive)
-    return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}."
+    small = [plain(effect.name) for effect in report.effects if effect.material is False]
+    rest = f"; {listed(small)}, named too, {'is' if len(small) == 1 else 'are'} too small to matter" if small else ""
+    return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}{rest}."
 
 
 def _certain_remedy(material: Material) -> str:
@@ -132,13 +138,15 @@ def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
         same = ", ".join(f"{name} {size}" for name, size in shown.items())
         return f"enter {entered} as compensation, or {same}{where}; leave the inverter's own {plain(first[0])} as it is"
     return "; ".join(
-        filter(None, [", ".join(f"{name} {size}" for name, size in shown.items()), _remedy_of(cause.name)])
+        filter(None, [", ".join(f"{name} {size}" for name, size in shown.items()), _stated(cause.name, "remedy")])
     )
 
 
 def _for_the_model(cause: FoundEffect) -> str:
-    """An effect that the model is for, with what its sizes mean where the effect states that."""
-    remedy = _remedy_of(cause.name)
+    """An effect that the model is for, with what its sizes mean or what checks them, where the effect states that."""
+    remedy = _stated(cause.name, "remedy")
+    if bench := _stated(cause.name, "at_the_bench"):
+        remedy = "; ".join(filter(None, [remedy, f"to check it, {bench}"]))
     sizes = [
         f"{parameter_words(name)} {quantity(p.value, p.unit, 4)}{in_degrees(p.value, p.unit)}"
         for name, p in cause.parameters.items()
@@ -147,10 +155,10 @@ def _for_the_model(cause: FoundEffect) -> str:
     return f"{plain(cause.name)} ({', '.join(sizes)}; {remedy})" if remedy else plain(cause.name)
 
 
-def _remedy_of(name: str) -> str:
-    """What the installed effect says of how its size is used; empty where it says nothing."""
+def _stated(name: str, attribute: str) -> str:
+    """What the installed effect says of how its size is used, or checked; empty where it says nothing."""
     try:
-        return str(getattr(load_plugin(PluginKind.EFFECTS, name), "remedy", ""))
+        return str(getattr(load_plugin(PluginKind.EFFECTS, name), attribute, ""))
     except PluginError:
         return ""
 

@@ -169,7 +169,7 @@ def replaced(old: str, new: str) -> str:
         (replaced("name: mine", "name: !!binary aGVsbG8="), 3, "", "tag"),
         (replaced("version: 1", "? [a, b]\n: 1"), 2, "", "a key has to be a word"),
         (replaced("limits:", "limits: [1, 2"), 11, "", "not YAML"),
-        (replaced("  pole_pairs: 2", "\tpole_pairs: 2"), 6, "", "not YAML"),
+        (replaced("  pole_pairs: 2", "\tpole_pairs: 2"), 6, "", "indent with spaces"),
         (TEXT + "---\nname: second\n", 19, "", "a second document"),
     ],
 )

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import bare_model_step, compare_recording, fits_as_well, model_step
+from orchestrator.diagnosis import bare_model_step, compare_recording, model_step
 from orchestrator.recording import Recording, read_model
-from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
-from protocols import Effect, MotorModel, RecordingError
+from plugins.effects.inverter import DeviceDrop
+from protocols import MotorModel, RecordingError
 
 ALWAYS = ["one_pwm_frequency"]
 """What these recordings lack."""
@@ -96,10 +96,3 @@ def test_a_model_that_cannot_be_read_is_named(clean: Recording, tmp_path: Path) 
     (tmp_path / "model.json").write_text("{")
     with pytest.raises(RecordingError, match=r"model\.json"):
         compare_recording(clean, out=tmp_path)
-
-
-@pytest.mark.slow
-def test_a_drop_fits_as_well_as_a_dead_time_at_one_pwm_frequency(with_dead_time: Recording) -> None:
-    library: list[Effect] = [DeadTime(), DeviceDrop(), VoltageBias()]
-    assert fits_as_well(with_dead_time, ["dead_time"], "dead_time", "device_drop", library)
-    assert not fits_as_well(with_dead_time, ["dead_time"], "dead_time", "voltage_bias", library)

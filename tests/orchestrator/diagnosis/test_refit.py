@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import pytest
 
-from orchestrator.diagnosis._refit import _refine_map
+from orchestrator.diagnosis._refit import _refine_map, add_effects, unchanged_model
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
-from protocols import Saturated
+from orchestrator.recording import Recording, open_recording, read_model
+from plugins.effects.inverter import DeadTime, DeviceDrop
+from protocols import Effect, Saturated
 from tests.orchestrator.diagnosis.fitting.conftest import setup
 
 __all__ = ["setup"]
@@ -27,3 +32,19 @@ def test_a_map_that_is_fine_enough_stays(setup: DiagnosisSetup, again: bool) -> 
     if again:
         fit = _refine_map(setup, fit)
     assert _refine_map(setup, fit) is fit
+
+
+def test_an_add_into_a_folder_without_a_model_says_that_it_left_the_recording_s_own(
+    with_dead_time: Recording, kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = Path(shutil.copytree(with_dead_time.path, tmp_path / "copy"))
+    monkeypatch.setattr(
+        "orchestrator.diagnosis._refit._added", lambda *_: unchanged_model(read_model(kept), ["device_drop"])
+    )
+    library: list[Effect] = [DeviceDrop(), DeadTime()]
+    without = add_effects(open_recording(copy), ["dead_time"], library, out=tmp_path / "elsewhere")
+    assert "no_model" not in [remark.code for remark in without.remarks]
+    shutil.copy(kept / "model.json", copy)
+    report = add_effects(open_recording(copy), ["dead_time"], library, out=tmp_path / "elsewhere")
+    assert report.remarks[0].code == "no_model"
+    assert "the model began without the effects of the recording's own" in report.remarks[0].text

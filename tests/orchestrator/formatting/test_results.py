@@ -8,10 +8,12 @@ import pytest
 
 from orchestrator.formatting.results import (
     PART_MEANING,
+    STAND_IN,
     benefit_line,
     has_other_chi2,
     joint_bound,
     ladder_rows,
+    mutual_twins,
     parameter_rows,
     resistance_course,
     share_notes,
@@ -91,6 +93,18 @@ def test_the_joint_fit_bounds_what_was_not_added() -> None:
     strong = entry.model_copy(update={"parameter": "core_loss_ohm", "size": loss})
     assert joint_bound(strong) == "core loss at least 5 kΩ"
     assert joint_bound(entry.model_copy(update={"size": None})) == ""
+    nothing = ParameterValue(value=0.0, low=0.0, high=0.0, unit="V")
+    assert joint_bound(entry.model_copy(update={"size": nothing})) == ""
+
+
+def test_of_two_effects_that_resemble_each_other_each_is_the_others() -> None:
+    slots, angle, delay = (effect(name=name) for name in ("slot_harmonics", "rotor_misalignment", "voltage_delay"))
+    slots = slots.model_copy(update={"twins": ("rotor_misalignment",)})
+    assert mutual_twins([slots, angle, delay]) == {
+        "slot_harmonics": ("rotor_misalignment",),
+        "rotor_misalignment": ("slot_harmonics",),
+        "voltage_delay": (),
+    }
 
 
 def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:
@@ -132,12 +146,19 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     report = a_diagnosis().model_copy(update={"materiality": limits, "minor": ()})
     meaning, first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
     assert meaning == PART_MEANING
-    assert first.startswith("above 100 % of the error: without this effect")
+    assert first.startswith("error without it above 100 %: without this effect")
     assert second.startswith("dead time: a cause of the measured error, but not material: ")
     assert "less than 0.2 % of the rated flux" in second
     for whole in (0.9, 1.004):  # the second is written as 100 %
         report = report.model_copy(update={"effects": (effect(share=whole, material=True),)})
         assert share_notes(report) == [PART_MEANING]
+
+
+def test_effects_beside_something_unknown_may_stand_in_for_it() -> None:
+    report = a_diagnosis(verdict="unknown_remains", unexplained={"fraction": 0.9, "shape": ()})
+    assert report.leaves_most
+    assert STAND_IN in share_notes(report)
+    assert STAND_IN not in share_notes(a_diagnosis(verdict="explained"))
 
 
 def test_a_size_is_stated_beside_what_is_typical() -> None:

@@ -49,7 +49,7 @@ def test_after_all_effects_together_it_says_which_are_new() -> None:
         {"move": "full_model", "effects": ("dead_time", "bus_sag", "hysteresis"), **chi2(20.0, 1.0)},
         {"move": "remove", "effects": ("hysteresis",), **chi2(1.0, 1.01)},
     )
-    assert lines[1] == "2. all 3 effects are fitted together: chi2 20 → 1"
+    assert lines[1] == "2. all 3 effects that it can show are fitted together: chi2 20 → 1"
     assert lines[2] == "3. hysteresis is removed, which the data do not require: chi2 1 → 1.01; bus sag is new"
 
 
@@ -69,7 +69,8 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
     assert lines == [
         "2. no absent effect is worth adding: the best, hysteresis, lowers the summed chi2 by 14.5, 32 needed",
         "3. dead time stays: without it chi2 is 80",
-        "4. device drop in place of dead time: both do as well, chi2 1.02",
+        "4. device drop in place of dead time: the recording does not separate the two, chi2 1 with dead time, "
+        "1.02 with device drop",
         "5. bus sag is in the model and no cause: 2 % of the first error, 5 % needed",
         "6. dead time is in the model and no cause, although it is 64 % of the first error and 57 % are needed: "
         "what is left could imitate it",
@@ -86,3 +87,25 @@ def test_a_form_counts_where_it_matters_and_every_change_of_noise_and_map() -> N
     )
     assert [line.split(". ")[0] for line in lines] == ["2", "3", "4", "5"]
     assert lines[-1] == "5. bus sag is removed: the size differs by 31 % between parts of the recording"
+
+
+def test_an_added_effect_that_leaves_more_than_another_has_the_reason_beside_it() -> None:
+    lines = moves(
+        refit("dead_time", 9.0, 2.0),
+        refit("device_drop", 7.0, 1.9),
+        {"move": "add", "effects": ("dead_time",), "data": "part", **chi2(80.0, 2.0)},
+    )
+    assert lines[-1].endswith(
+        "device drop instead would leave 1.9, with less log evidence, which decides and counts parameters and usual "
+        "sizes, too"
+    )
+
+
+def test_a_swap_that_the_recording_does_not_decide_is_said_to_be_one_and_nothing_is_repeated() -> None:
+    stays = {"move": "remove", "effects": ("dead_time",), "decision": "rejected", **chi2(1.0, 80.0)}
+    swap = {"move": "swap", "effects": ("device_drop", "dead_time"), "note": "both do as well", **chi2(1.13, 1.08)}
+    lines = moves(stays, stays, swap, swap | {"data": "part"})
+    assert lines[0] == "1. dead time stays: without it chi2 is 80"
+    assert lines[1].endswith("place of dead time: chi2 1.13 → 1.08, two that the recording does not separate")
+    assert len(lines) == 4
+    assert lines[-1].endswith("two that this part does not separate")

@@ -66,6 +66,8 @@ def kept(tmp_path: Path) -> Path:
     [
         (["add", DATA, "dead_tme"], "dead_tme: no such effect; did you mean 'dead_time'?"),
         (["add", DATA, "xyz"], "no such effect; valid: "),
+        (["add", DATA, "dead_time,xyz"], "xyz: no such effect"),
+        (["add", DATA, ","], "expected names of effects, separated by spaces or commas"),
         (["diagnose", DATA, "--without", "dead_tme"], "no such effect; did you mean 'dead_time'?"),
         (["diagnose", "nowhere"], "nowhere"),
         (["diagnose", DATA / "recording.json" / "x"], "x"),

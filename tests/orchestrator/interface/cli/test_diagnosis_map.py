@@ -26,7 +26,8 @@ def map_lines(estimated: Path, capsys: pytest.CaptureFixture[str], *, usable: bo
 
 
 def test_a_map_that_is_usable_is_named_with_its_file(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (line,) = map_lines(estimated, capsys, usable=True)
+    line, accuracy = map_lines(estimated, capsys, usable=True)
+    assert accuracy.endswith("your sensors' gain and the bus voltage's error, which no run shows, come on top")
     assert line.startswith("R_s 4.1")
     path = Path(line.split("flux map usable: ")[1])
     assert path == estimated / "results" / "flux_map.nc"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -63,13 +64,33 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
 
 
+def test_a_map_that_is_not_usable_is_not_advised_to_be_tuned_with(
+    diagnosed: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = Remark(code="uncertain_map", text="the model's map is uncertain")
+    poor = SimpleNamespace(usable=False, method="model", remarks=(why,))
+    monkeypatch.setattr("orchestrator.estimation.load_estimates", lambda _: poor)
+    assert run_app(["explain", str(diagnosed)]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("next: do not use the map yet: the model's map is uncertain; `fluxbench estimate")
+
+
+def test_what_the_whole_recording_separates_is_said_beside_the_evidence(
+    diagnosed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    remark = Remark(code="separated", text="voltage delay and current filter are separated, by 6 sigma")
+    save_diagnosis(diagnosed, a_report().model_copy(update={"remarks": (remark,)}), WORDS, ())
+    assert run_app(["explain", str(diagnosed)]) == 0
+    assert "note: voltage delay and current filter are separated, by 6 sigma" in capsys.readouterr().out
+
+
 def test_a_share_above_the_whole_error_is_explained_below_the_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     effect = a_report().effects[0].model_copy(update={"share": 2.29})
     save_diagnosis(tmp_path, a_report().model_copy(update={"effects": (effect,)}), WORDS, ())
     assert run_app(["explain", str(tmp_path)]) == 0
-    assert "note: above 100 % of the error: without this effect" in capsys.readouterr().out
+    assert "note: error without it above 100 %: without this effect" in capsys.readouterr().out
 
 
 def test_what_an_effect_remarks_is_told_and_a_folder_of_results_names_the_recording(

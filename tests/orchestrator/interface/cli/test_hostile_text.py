@@ -90,7 +90,8 @@ def test_a_drive_says_what_it_likes_and_a_probe_prints_none_of_it_raw(capsys: py
 
 
 def test_a_guess_is_judged_in_plain_text(capsys: pytest.CaptureFixture[str]) -> None:
-    _print_verdict(Verdict(as_good=(), right=(HOSTILE,), wrong=("x" * 10_000_000, HOSTILE), still_hidden=1, sizes=()))
+    wrong = ("x" * 10_000_000, HOSTILE)
+    _print_verdict(Verdict(as_good=(), right=(HOSTILE,), caused=(), wrong=wrong, still_hidden=1, sizes=()))
     assert_plain(capsys.readouterr().out)
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from orchestrator.registry.plugins import PluginKind, installed
 from plugins.commands.mystery import Guess, judge, read_guess
+from plugins.commands.mystery._guessing import MAX_GUESSES
 from protocols import InputError
 
 KNOWN = {info.name for info in installed(PluginKind.EFFECTS)}
@@ -96,7 +97,7 @@ def test_a_size_that_was_not_given_is_the_models_and_is_not_graded() -> None:
     assert (size.guessed, size.is_given, size.ratio) == (2.2, False, None)
 
 
-def test_what_the_recording_cannot_tell_from_a_hidden_effect_counts_as_right() -> None:
+def test_what_fits_as_well_in_a_hidden_effects_place_counts_as_right() -> None:
     def is_drop(guessed: str, hidden: str) -> bool:
         return (guessed, hidden) == ("device_drop", "dead_time")
 
@@ -112,13 +113,27 @@ def test_nothing_stands_alone() -> None:
         read_guess("nothing,skin_effect")
 
 
-def test_an_angle_that_the_run_caused_effects_is_right_and_not_missing() -> None:
+def test_an_angle_that_the_run_caused_is_neither_one_of_the_hidden_nor_missing() -> None:
     brought = {"rotor_misalignment": {"angle_rad": 0.02}}
     named = judge(read_guess("dead_time,current_offset,rotor_misalignment=0.03"), HIDDEN, {}, brought)
     assert named.complete
+    assert (named.right, named.caused) == (("dead_time", "current_offset"), ("rotor_misalignment",))
     assert named.sizes[-1].ratio == pytest.approx(1.5)
     assert judge(read_guess("dead_time,current_offset"), HIDDEN, {}, brought).complete
     assert judge(read_guess("rotor_misalignment"), HIDDEN, {}).wrong == ("rotor_misalignment",)
+
+
+def test_what_the_recording_does_not_show_is_not_missing() -> None:
+    guess = read_guess("dead_time")
+    verdict = judge(guess, HIDDEN, {}, shows=lambda name: name != "current_offset")
+    assert verdict.complete
+    assert (verdict.still_hidden, verdict.too_small) == (0, 1)
+
+
+def test_a_list_of_the_library_is_no_guess() -> None:
+    with pytest.raises(InputError, match="so many names are no guess: at most 3 effects are hidden"):
+        read_guess(",".join(sorted(KNOWN)))
+    assert len(read_guess(",".join(sorted(KNOWN)[:MAX_GUESSES]))) == MAX_GUESSES
 
 
 def test_a_misalignment_is_judged_by_the_angle_that_came_of_it() -> None:

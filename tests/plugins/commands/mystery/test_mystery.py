@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mystery") / "run"
     with redirect_stdout(StringIO()) as printed:
         assert command([str(NUMBER), "--out", str(path), "--quiet"]) == 0
-    assert printed.getvalue() == f"{path} is measured; next: fluxbench diagnose {path}\n"
+    assert printed.getvalue() == f"{path} is measured; next: fluxbench report {path}\n"
     return path
 
 
@@ -102,8 +102,29 @@ def test_a_guess_that_fits_as_well_is_as_good(capsys: pytest.CaptureFixture[str]
     hidden = {"current_filter": {"time_constant_s": 1e-5}}
     _print_verdict(judge(read_guess("voltage_delay"), hidden, {}, None, lambda *_: True))
     first, last = capsys.readouterr().out.splitlines()
-    assert first == "voltage_delay: as good: this recording cannot tell it from what is hidden"
+    assert first == "voltage_delay: as good: it fits this recording as well as what is hidden"
     assert last == "That is all there is."
+
+
+def test_what_the_run_caused_is_present_and_not_one_of_the_hidden(capsys: pytest.CaptureFixture[str]) -> None:
+    caused = {"rotor_misalignment": {"angle_rad": 0.02}}
+    _print_verdict(judge(read_guess("rotor_misalignment"), {"skin_effect": {"extra_ohm": 2.0}}, {}, caused))
+    first, last = capsys.readouterr().out.splitlines()
+    assert first == "rotor_misalignment: present, but not one of the hidden: the run itself caused it"
+    assert last == "1 is hidden."
+
+
+def test_wrong_names_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    _print_verdict(judge(read_guess("skin_effect,bus_sag,dead_time"), {"skin_effect": {"extra_ohm": 2.0}}, {}))
+    assert "2 of 3 names are wrong.\n" in capsys.readouterr().out
+
+
+def test_what_the_recording_does_not_show_need_not_be_named(capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = {"voltage_delay": {"delay_s": 2e-5}, "current_filter": {"time_constant_s": 2e-6}}
+    _print_verdict(judge(read_guess("voltage_delay"), hidden, {}, shows=lambda _: False))
+    _, second, last = capsys.readouterr().out.splitlines()
+    assert second.startswith("1 more is hidden, but too small, or too similar")
+    assert last == "That is all that this recording shows."
 
 
 def test_a_size_of_one_rotor_angle_is_not_graded(capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,6 +147,9 @@ def test_reveal_tells_too_what_the_run_itself_caused(
         capsys, run, "--reveal"
     )
     monkeypatch.setattr("plugins.commands.mystery._guessing.sealed_effects", lambda _: turned)
+    assert "with what the run itself caused" not in verdict_on(capsys, run, "--reveal")
+    # The run's own angle differs by less than its words: one line is enough.
+    hidden = {"rotor_misalignment": {"angle_rad": 0.01999}}
     assert "with what the run itself caused" not in verdict_on(capsys, run, "--reveal")
 
 

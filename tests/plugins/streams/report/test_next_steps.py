@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from orchestrator.diagnosis import SavedDiagnosis
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.quantities import quantity
+from orchestrator.runs import RunRecord
 from plugins.streams.report._collect import Material, Paths
 from plugins.streams.report._motor_content import torque_rows
 from plugins.streams.report._next_steps import next_steps
@@ -22,6 +26,7 @@ from protocols import (
     Motor,
     NextExperiment,
     Remark,
+    ResistanceEstimate,
 )
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
@@ -78,7 +83,9 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
             ["current_offset", "rotor_misalignment", "skin_effect"],
             "compensate current offset (voltage 400 mV; subtract it from the readings of each sensor) and rotor "
             "misalignment (voltage 400 mV; add it to the angle that the drive believes, such as the encoder's offset) "
-            "in the drive, and use model.json for skin effect, which few drives compensate.",
+            "in the drive, and use model.json for skin effect (voltage 400 mV, sharpness −15·10⁶; to check it, "
+            "measure resistance and inductance with a bridge at two frequencies, below and above the corner), which "
+            "few drives compensate.",
         ),
     ],
 )
@@ -112,6 +119,31 @@ def test_twins_and_immaterial_effects_are_not_to_be_compensated(
     saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), words, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
     assert lines[-1].text.startswith(advice)
+
+
+def test_a_named_effect_that_is_too_small_to_matter_is_said_to_be() -> None:
+    found = a_diagnosis().effects[0].model_copy(update={"twins": ()})
+    small = found.model_copy(update={"name": "current_gain_mismatch", "material": False})
+    saved = SavedDiagnosis(a_diagnosis(effects=[found, small], next_experiment=None), DECIDED, ())
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+    assert lines[-1].text.endswith("; current gain mismatch, named too, is too small to matter.")
+
+
+def test_a_usable_map_has_its_accuracy_beside_it_and_what_no_run_shows() -> None:
+    r_s = {"value_ohm": 2.0, "low": 1.99, "high": 2.01, "first_ohm": 2.0, "last_ohm": 2.0}
+    known = an_estimate(resistance=ResistanceEstimate.model_validate(r_s), classical_against_injection_percent=0.16)
+    about_map, accuracy, _ = next_steps(Material(Path("r"), None, None, (), known, {}, Paths(), None, ()))
+    assert about_map.text.startswith("use ")
+    assert "R_s ±0.5 %, 95 % and of the readings' noise alone" in accuracy.text
+    assert "differ by 0.16 % of the rated flux" in accuracy.text
+    assert "sensors' gain and the bus voltage's error, which no run shows, come on top" in accuracy.text
+
+
+def test_the_diagnosis_of_a_sealed_motor_is_said_to_give_it_away(tmp_path: Path) -> None:
+    run = Material(tmp_path, None, None, (), None, {}, Paths(), None, ())
+    assert "away" not in next_steps(run)[-1].text
+    sealed = cast("RunRecord", SimpleNamespace(sealed=("plant",)))
+    assert "and gives most of what is hidden in this motor away" in next_steps(replace(run, record=sealed))[-1].text
 
 
 def test_what_is_entered_as_compensation_is_never_a_value_for_the_inverter_s_own_dead_time() -> None:
