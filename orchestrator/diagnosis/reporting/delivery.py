@@ -135,23 +135,16 @@ def objections_to(
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += size_remarks(fit)
     if band_percent > max_percent:
-<<<<<<< HEAD
         against.append(_uncertain_map(band_percent, widening, max_percent))
-=======
-        text = "the model's map is known to +-{band_percent:.2g} % of the rated flux (95 %, at the measured currents)"
-        against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
->>>>>>> r57
     return [one.by(METHOD) for one in against]
 
 
 def _uncertain_map(band_percent: float, widening: tuple[str, float] | None, max_percent: float) -> Remark:
-    text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
+    text = "the model's map is known to +-{band_percent:.2g} % of the rated flux (95 %, at the measured currents)"
     if widening is None or widening[1] > max_percent:
         return Remark.of("uncertain_map", text, band_percent=band_percent)
     name, without_percent = widening
-    text += (
-        " because of {effect} alone, whose size this recording cannot determine; without it, by {without_percent:.2g} %"
-    )
+    text += " because of {effect} alone, whose size this recording cannot determine; without it, to +-{without_percent:.2g} %"
     return Remark.of(
         "uncertain_map", text, band_percent=band_percent, effect=plain(name), without_percent=without_percent
     )

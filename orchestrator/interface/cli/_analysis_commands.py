@@ -148,11 +148,7 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-<<<<<<< HEAD
-@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/first hysteresis")
-=======
-@commands.command("add", epilog="Example: fluxbench add runs/mystery-4 hysteresis")
->>>>>>> r57
+@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/mystery-4 hysteresis")
 def add_command(
     recording: RecordingArgument,
     effect: Annotated[list[str], typer.Argument(help="Names, separated by spaces or commas.", metavar="EFFECT...")],

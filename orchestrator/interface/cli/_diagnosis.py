@@ -36,12 +36,8 @@ from orchestrator.interface.cli._interrupting import Interruption, prompt_interr
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.interface.cli._refreshing import refresh_report
 from orchestrator.interface.cli._results import in_capitals
-<<<<<<< HEAD
 from orchestrator.runs import is_run
-from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
-=======
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport, InputError
->>>>>>> r57
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import InterimResult
@@ -191,12 +187,8 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     """Print R_s and the map of the diagnosis, or why the map is not reliable."""
     if estimates.usable and estimates.resistance is not None:
         say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
-<<<<<<< HEAD
-        say_notes(r.text for r in estimates.remarks if r.code in ("far_from_nameplate", "common_factor"))
-=======
         say(*(f"accuracy: {words}" for words in filter(None, [accuracy_words(estimates)])))
-        say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
->>>>>>> r57
+        say_notes(r.text for r in estimates.remarks if r.code in ("far_from_nameplate", "common_factor"))
         return
     why = next((r.text for r in estimates.remarks), "no estimator succeeded")
     say(f"flux map: {in_capitals(estimates.usability)}: {why}")
