@@ -144,7 +144,8 @@ def _uncertain_map(band_percent: float, widening: tuple[str, float] | None, max_
     if widening is None or widening[1] > max_percent:
         return Remark.of("uncertain_map", text, band_percent=band_percent)
     name, without_percent = widening
-    text += " because of {effect} alone, whose size this recording cannot determine; without it, to +-{without_percent:.2g} %"
+    text += " because of {effect} alone, whose size this recording cannot determine"
+    text += "; without it, to +-{without_percent:.2g} %"
     return Remark.of(
         "uncertain_map", text, band_percent=band_percent, effect=plain(name), without_percent=without_percent
     )

@@ -72,7 +72,7 @@ def test_what_iron_remembers_is_not_reported_by_a_ripple_alone(fit: Fit) -> None
 def test_an_effect_that_alone_widens_the_band_is_named_with_the_band_without_it(fit: Fit) -> None:
     (alone,) = objections_to(fit, None, 1.5, {}, ("own_drop", 0.0082))
     assert alone.text.endswith(
-        "because of own drop alone, whose size this recording cannot determine; without it, by 0.0082 %"
+        "because of own drop alone, whose size this recording cannot determine; without it, to +-0.0082 %"
     )
     (besides,) = objections_to(fit, None, 1.5, {}, ("own_drop", 1.4))
     assert "own drop" not in besides.text
