@@ -174,9 +174,7 @@ def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
     if ohm * period_s <= MIN_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h):
         return setup
     rippling = setup.with_ripple(ripples=True)
-    plain, other = (
-        one.part_fitter.fit(baseline_model(one, Saturated()), relinearisations=1) for one in (setup, rippling)
-    )
+    plain, other = (one.part_fitter.fit(baseline_model(one, Saturated())) for one in (setup, rippling))
     threshold = 2.0 * plain.criteria.selection.log_evidence * max(plain.chi2_per_dof, 1.0)
     return setup if other.objective - plain.objective > threshold else rippling
 

@@ -20,6 +20,7 @@ from orchestrator.diagnosis.fitting.corrections import (
 from orchestrator.diagnosis.fitting.model import (
     BatchLinearisation,
     ColumnName,
+    DerivativeColumns,
     Model,
     SegmentLinearisation,
     SegmentRows,
@@ -38,7 +39,7 @@ from orchestrator.diagnosis.weak_form.equations import (
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import SegmentData
-from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
+from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation, to_dq
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -52,6 +53,8 @@ MAX_INDUCTANCE_CHANGE: float = 0.01
 MAX_INVERTER_CHANGE: float = 0.1
 """Change of an inverter effect's standardised value x over max(1, |x|) up to which the covariance is reused."""
 
+INDUCTANCE_STEP: float = 1e-3
+"""Relative step of the inductance by which the voltages' derivatives are taken."""
 OBSERVER_TIME_CONSTANT_S: float = 0.005
 """Time constant with which the integrated flux approaches the map's [s]: much longer than a ripple period, and short
 compared with the integral's drift."""
@@ -105,11 +108,8 @@ class WeakFormEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(batch, cascade.corrected, model.magnetics)
         raw = self._untouched_basis(batch, local, model) if same else basis(batch, local, model.magnetics)
-        bent = [
-            None if one is None else one.bent(piece.windows, model.space.grid)
-            for piece, one in zip(batch.pieces, ripple, strict=True)
-        ]
-        raw = [one if other is None else one + other for one, other in zip(raw, bent, strict=True)]
+        follows = self._by_derivatives(linearisation, ripple, cascade, local, model)
+        raw = [one if other is None else one + other.columns for one, other in zip(raw, follows, strict=True)]
         noises = self._noises(BatchState(linearisation, cascade, local, model.magnetics.coefficients), model, old)
         pieces = []
         for j, (whitener, mean, noise_parameters) in enumerate(noises):
@@ -118,7 +118,7 @@ class WeakFormEquations:
                 white = before.white_basis
             else:
                 white = whitener(raw[j] if model.space.is_free else raw[j] @ model.space.directions)
-            pieces.append(SegmentLinearisation(whitener, raw[j], bent[j], white, mean, noise_parameters))
+            pieces.append(SegmentLinearisation(whitener, raw[j], follows[j], white, mean, noise_parameters))
         return BatchState(replace(linearisation, pieces=tuple(pieces)), cascade, local, model.magnetics.coefficients)
 
     def at(self, model: Model, linearisation: BatchLinearisation) -> BatchState:
@@ -143,8 +143,48 @@ class WeakFormEquations:
         v_ab = base.v_ab.copy()
         for j, one in enumerate(ripple):
             if one is not None:
-                v_ab[base.slice_of(j)] += one.damped
+                v_ab[base.slice_of(j)] += one.damped()
         return plain.with_changed({"v_ab": v_ab}), ripple
+
+    def _by_derivatives(
+        self,
+        linearisation: BatchLinearisation,
+        ripple: Sequence[CarrierRipple | None],
+        cascade: Cascade,
+        local: LocalMap,
+        model: Model,
+    ) -> list[DerivativeColumns | None]:
+        """Each segment's columns by which the voltages of ripple and effects follow the map.
+
+        Where R_s T / L is large, a hold tells the inductance by what they take of its voltage. With it frozen, the
+        map's move in answer would be wrong, and the next linearisation further away.
+        """
+        found: list[DerivativeColumns | None] = [None] * len(ripple)
+        if all(one is None for one in ripple):
+            return found
+        batch, base, grid = linearisation.batch, linearisation.base, model.space.grid
+        step_h = INDUCTANCE_STEP * float(local.inductance[:, [0, 2]].mean())
+        by_inductance = np.zeros((base.samples, 2, 3))
+        for axis in range(3):
+            change_h = step_h * np.eye(3)[axis]
+            v_ab = base.v_ab.copy()
+            for j, one in enumerate(ripple):
+                if one is not None:
+                    v_ab[base.slice_of(j)] += one.damped(change_h) - one.damped()
+            inductance_ab = inductance_to_ab(local.inductance + change_h, batch.believed_rad)
+            moved = Cascade.of(base.replaced({"v_ab": v_ab, "inductance_ab": inductance_ab}), model.active)
+            by_inductance[:, :, axis] = (moved.corrected.v_ab - cascade.corrected.v_ab) / step_h
+        for j, (piece, one) in enumerate(zip(batch.pieces, ripple, strict=True)):
+            if one is None:
+                continue
+            weights = one.bent()
+            bent = one.columns(weights, piece.windows, grid)
+            weights[:] = 0.0
+            for axis in range(3):
+                weights[:, :, axis] = to_dq(by_inductance[base.slice_of(j), :, axis], one.angle)
+            known = one.columns(weights, piece.windows, grid)
+            found[j] = DerivativeColumns(bent + known, known @ model.magnetics.coefficients)
+        return found
 
     def _noises(
         self, state: BatchState, model: Model, old: BatchLinearisation | None
@@ -354,8 +394,9 @@ class WeakFormEquations:
         voltage, resistance = voltage_and_resistance(at.batch, in_parts, at.local, self.pm_flux_wb)
         known = voltage + flux_terms(at.batch, at.local)
         for j, cached in enumerate(at.linearisation.pieces):
-            if cached.bent is not None:
-                known[at.batch.rows_of(j)] += cached.bent @ at.coefficients
+            if cached.by_derivatives is not None:
+                follows = cached.by_derivatives
+                known[at.batch.rows_of(j)] += follows.columns @ at.coefficients - follows.known
         out[:, 0], out[:, 1] = known, resistance
         rows = []
         for j, cached in enumerate(at.linearisation.pieces):

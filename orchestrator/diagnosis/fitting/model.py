@@ -75,13 +75,22 @@ class Model:
 
 
 @dataclass(frozen=True)
+class DerivativeColumns:
+    """The part of a segment's basis by which voltages follow the map's inductance and curvature."""
+
+    columns: Array
+    known: Array
+    """Rows of that part which the linearisation's voltages have already, shape (rows,)."""
+
+
+@dataclass(frozen=True)
 class SegmentLinearisation:
     """Quantities of one segment that are reused between steps."""
 
     whitener: Whitener
     basis: Array
-    bent: Array | None
-    """The carrier ripple's part of the basis; None without."""
+    by_derivatives: DerivativeColumns | None
+    """None where they are neglected."""
     white_basis: Array
     """Whitened basis projected on the map's free directions."""
     mean_inductance: Array

@@ -41,30 +41,32 @@ class CarrierRipple:
 
     Attributes
     ----------
-    damped : array, shape (n, 2)
-        Voltage to add in the stator frame, the first term above [V].
-    i_dq : array, shape (n, 2)
-        Current in the believed rotor frame [A].
+    moment : array, shape (n, 2)
+        M / T above in the believed rotor frame [V s^2].
+    inductance : array, shape (n, 3)
+        The model's L_dd, L_dq, L_qq [H].
     square : array, shape (n, 3)
         Mean squares and product of the ripple current along d and q: dd, dq, qq [A^2].
-    gain : array, shape (n, 3)
-        R_s L^-1, symmetric: dd, dq, qq [1/s].
+    ohm : array, shape (n, 1)
+    i_dq : array, shape (n, 2)
+        Current in the believed rotor frame [A].
+    angle : float
+        Believed rotor angle [rad].
     interval_s : float
         Sampling interval [s].
     """
 
-    damped: Array
-    i_dq: Array
+    moment: Array
+    inductance: Array
     square: Array
-    gain: Array
+    ohm: Array
+    i_dq: Array
+    angle: float
     interval_s: float
 
     @classmethod
     def of(cls, piece: SegmentData, signals: Signals, magnetics: Magnetics) -> CarrierRipple | None:
-        """The ripple of a segment's signals, which have the impressed voltage and R_s; None where no bridge switches.
-
-        The inductance is the map's, frozen; `bent` is then linear in the map's coefficients.
-        """
+        """The ripple of a segment's signals with the impressed voltage and R_s; None where no bridge switches."""
         if not signals.bridge_on:
             return None
         v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
@@ -73,21 +75,43 @@ class CarrierRipple:
         moment, spread = _ripple(v_ab, v_dc, period_s)
         i_dq = to_dq(signals.i_ab, angle)
         inductance = _believable(magnetics.flux_and_inductance(i_dq)[1], signals)
-        ohm = np.asarray(signals.resistance_ohm)[:, None]
-        damped = ohm * ohm * _through(inductance, _through(inductance, to_dq(moment, angle)))
         along = np.stack([_through(inductance, to_dq(one, angle)) for one in spread])
         square = np.stack([along[..., a] * along[..., b] for a, b in AXES], axis=-1).sum(axis=0)
-        dd, dq, qq = inductance.T
-        gain = ohm * np.stack([qq, -dq, dd], axis=1) / (dd * qq - dq * dq)[:, None]
-        return cls(to_ab(damped, angle), i_dq, square, gain, 1.0 / signals.sampling_frequency_hz)
+        ohm = np.asarray(signals.resistance_ohm, dtype=np.float64)[:, None]
+        interval_s = 1.0 / signals.sampling_frequency_hz
+        return cls(to_dq(moment, angle), inductance, square, ohm, i_dq, angle, interval_s)
 
-    def bent(self, windows: Windows, grid: EvenSpline) -> Array:
-        """Columns for the coefficients of the co-energy by the second term above, shape (rows, coefficients)."""
+    def damped(self, change_h: Array | float = 0.0) -> Array:
+        """Voltage to add in the stator frame, the first term above (n, 2) [V]; `change_h` (3,) of the inductance."""
+        inductance = self.inductance + change_h
+        volts = self.ohm**2 * _through(inductance, _through(inductance, self.moment))
+        return np.ascontiguousarray(to_ab(volts, self.angle))
+
+    def bent(self) -> Array:
+        """The second term above per derivative of the co-energy, (n, 2, 7) as of `columns_by_derivatives`."""
+        dd, dq, qq = self.inductance.T
+        gain = np.stack([np.stack([qq, -dq], axis=1), np.stack([-dq, dd], axis=1)], axis=1)
+        gain *= self.ohm[:, :, None] / (dd * qq - dq * dq)[:, None, None]
+        half = 0.5 * self.square * np.array([1.0, 2.0, 1.0])
+        out = np.zeros((len(half), 2, 7))
+        out[:, :, 3:6] = gain[:, :, :1] * half[:, None]
+        out[:, :, 4:7] += gain[:, :, 1:] * half[:, None]
+        return out
+
+    def columns(self, by_derivatives: Array, windows: Windows, grid: EvenSpline) -> Array:
+        """Columns (rows, coefficients) of a voltage in the rotor frame that is linear in the co-energy's derivatives.
+
+        Parameters
+        ----------
+        by_derivatives : array, shape (n, 2, 7)
+            Voltage along d and q by W_dd, W_dq, W_qq, W_ddd, W_ddq, W_dqq and W_qqq at every sample.
+        """
         (numbers, counts), w = grid.layout, windows
-        gain = self.interval_s * self.gain
         shape = (w.test_functions, w.n_bins, 2, grid.size)
-        sums = _sum_bent(self.i_dq, self.square, gain, w.step, w.bins, shape, numbers, counts, CARDINAL, grid.kinked)
-        return w.combine(sums)
+        weights = self.interval_s * by_derivatives
+        return w.combine(
+            _sum_derivatives(self.i_dq, weights, w.step, w.bins, shape, numbers, counts, CARDINAL, grid.kinked)
+        )
 
 
 AXES = (0, 0), (0, 1), (1, 1)
@@ -118,10 +142,9 @@ def _through(inductance: Array, flux: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _sum_bent(
+def _sum_derivatives(
     i_dq: Array,
-    square: Array,
-    gain: Array,
+    weights: Array,
     step: float,
     bins: NDArray[np.int64],
     shape: tuple[int, int, int, int],
@@ -130,14 +153,13 @@ def _sum_bent(
     pieces: Array,
     kinked: Array,
 ) -> Array:
-    """Weighted sums of gain . 1/2 (square : d^2/di^2) psi per coefficient, shape as `sum_basis`; none beyond the map.
+    """Sums of the co-energy's derivatives by weights (n, 2, 7) per coefficient, shaped as `sum_basis`; none beyond it.
 
-    The third derivatives of the co-energy take the place of the ripple's second difference, which spans little of a
-    cell.
+    The third derivatives take the place of the ripple's second difference, which spans little of a cell.
     """
     out = np.zeros(shape)
     nq = shape[3] // (counts[0] + 5)
-    x, y = np.empty((4, 6)), np.empty((4, 7))
+    x, y, values = np.empty((4, 6)), np.empty((4, 7)), np.empty(7)
     for k in range(i_dq.shape[0] - 1):
         u = (0.5 * (i_dq[k, 0] + i_dq[k + 1, 0]) - numbers[0]) / numbers[1]
         v = (0.5 * (i_dq[k, 1] + i_dq[k + 1, 1]) - numbers[2]) / numbers[3]
@@ -152,20 +174,22 @@ def _sum_bent(
             _derivatives(kinked[n : n + 1], v - n, numbers[3], y[:, 6:])
         place = (k + 0.5) / step
         before, b = math.floor(place), bins[k]
-        s_dd, s_dq, s_qq = 0.5 * square[k, 0], square[k, 1], 0.5 * square[k, 2]
-        for side in range(2):
-            function = before - 1 + side
-            if not 0 <= function < shape[0]:
-                continue
-            weight = place - before if side == 1 else 1.0 - (place - before)
-            g_dd, g_dq, g_qq = weight * gain[k, 0], weight * gain[k, 1], weight * gain[k, 2]
-            for r in range(6):
-                for s in range(functions):
-                    d = s_dd * x[3, r] * y[0, s] + s_dq * x[2, r] * y[1, s] + s_qq * x[1, r] * y[2, s]
-                    q = s_dd * x[2, r] * y[1, s] + s_dq * x[1, r] * y[2, s] + s_qq * x[0, r] * y[3, s]
-                    col = (m + r) * nq + (counts[2 + n + s] if s < 6 else nq - 1)
-                    out[function, b, 0, col] += g_dd * d + g_dq * q
-                    out[function, b, 1, col] += g_dq * d + g_qq * q
+        for r in range(6):
+            for s in range(functions):
+                for j in range(7):
+                    along_q = j if j < 3 else j - 3
+                    values[j] = x[(2 if j < 3 else 3) - along_q, r] * y[along_q, s]
+                d, q = 0.0, 0.0
+                for j in range(7):
+                    d += weights[k, 0, j] * values[j]
+                    q += weights[k, 1, j] * values[j]
+                col = (m + r) * nq + (counts[2 + n + s] if s < 6 else nq - 1)
+                for side in range(2):
+                    function = before - 1 + side
+                    if 0 <= function < shape[0]:
+                        share = place - before if side == 1 else 1.0 - (place - before)
+                        out[function, b, 0, col] += share * d
+                        out[function, b, 1, col] += share * q
     return out
 
 

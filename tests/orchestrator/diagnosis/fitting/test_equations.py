@@ -10,13 +10,16 @@ import pytest
 from scipy.optimize import brentq
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import change_of_rows
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import from_two_phases, to_dq
 from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
+from plugins.effects.sampling import SamplingOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect, LossHistory, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -162,3 +165,27 @@ def test_what_iron_may_remember_is_expected_as_noise() -> None:
         known, unknown = np.linalg.norm(aware(rows)), np.linalg.norm(bare(rows))
         assert unknown > 3.0
         assert known < 1.0
+
+
+@pytest.mark.parametrize("offset_s", [0.0, 3e-6])
+def test_voltages_of_the_ripple_and_of_readings_beside_it_follow_the_map(offset_s: float) -> None:
+    """Against equations that are linearised at the moved map; a resistance that makes R T / L a tenth."""
+    one = SegmentBatch.of(prepared([Plan(SegmentStage.RESISTANCE, hold(2.0, -1.0))]).pieces)
+    whole = fitter(prepared(plan()))
+    equations = WeakFormEquations(whole.noise, PM_WB, ripples=True)
+    beside = scaled_library([SamplingOffset()], whole.prepared.manifest)[0].absent()
+    beside = beside.moved("offset_s", offset_s / beside.candidate.named("offset_s").prior_width)
+    model = replace(free_model(), r_s=40.0, magnetics=TRUE_MAP).with_active([beside] if offset_s else [])
+    moved = replace(model, magnetics=Magnetics(TRUE_MAP.grid, 1.01 * TRUE_MAP.coefficients))
+    was, now = (equations.relinearise(at, one, None) for at in (model, moved))
+    (before,), (after,) = equations.rows(was), equations.rows(now)
+    linear = was.linearisation.pieces[0]
+    change = moved.magnetics.coefficients - model.magnetics.coefficients
+    follows = linear.by_derivatives
+    assert follows is not None
+    beyond_flux = after.known - before.known - (linear.basis - follows.columns) @ change
+    by_columns = follows.columns @ change
+    # Beyond first order the ripple itself changes too, by some per cent of what it does.
+    assert np.abs(beyond_flux - by_columns).max() < 0.1 * np.abs(beyond_flux).max()
+    (along,) = equations.rows(equations.at(moved, was.linearisation))
+    assert_close(along.known - before.known, linear.basis @ change, 1e-9)

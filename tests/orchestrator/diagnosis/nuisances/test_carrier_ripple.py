@@ -76,7 +76,7 @@ def ripple(one: SegmentData, signals: Signals, magnetics: Magnetics) -> CarrierR
 
 def bend(of: CarrierRipple, one: SegmentData, magnetics: Magnetics) -> Array:
     """The mean voltage of a hold by the map's curvature, in the rotor frame."""
-    rows = of.bent(one.windows, magnetics.grid) @ magnetics.coefficients
+    rows = of.columns(of.bent(), one.windows, magnetics.grid) @ magnetics.coefficients
     volts = (rows * FS / one.windows.absolute_weight).reshape(-1, 2)
     mean: Array = volts.mean(axis=0)
     return mean
@@ -95,7 +95,7 @@ def test_it_is_what_the_line_between_readings_misses(magnetics: Magnetics, i_dq:
     arrays = {"v_ab": np.tile(v_dq, (n, 1)), "i_ab": np.tile(i, (n, 1)), "v_dc": np.full(n, BUS_V)}
     signals = one.signals.replaced({**arrays, "resistance_ohm": np.full(n, OHM)})
     found = ripple(one, signals, magnetics)
-    taken = found.damped[0] + bend(found, one, magnetics)
+    taken = found.damped()[0] + bend(found, one, magnetics)
     assert np.linalg.norm(off + taken / FS) < 0.02 * np.linalg.norm(off)
 
 
@@ -104,8 +104,8 @@ def test_its_direction_is_the_stators_whatever_the_rotors_angle() -> None:
     # A third of a turn is another phase, to which the pulses do alike.
     a, b = (ripple(one, one.signals, SATURATED) for one in (plain, turned))
     # A third of a turn is another phase, to which the pulses do alike.
-    there = to_dq(b.damped, 2.0 * np.pi / 3.0)
-    np.testing.assert_allclose(there, a.damped, rtol=1e-6, atol=1e-12 * np.abs(a.damped).max())
+    there = to_dq(b.damped(), 2.0 * np.pi / 3.0)
+    np.testing.assert_allclose(there, a.damped(), rtol=1e-6, atol=1e-12 * np.abs(a.damped()).max())
     x, y = bend(a, plain, SATURATED), bend(b, turned, SATURATED)
     np.testing.assert_allclose(y, x, rtol=1e-6, atol=1e-12 * np.abs(x).max())
 
@@ -119,7 +119,7 @@ def test_the_bend_is_none_where_the_map_does_not_saturate() -> None:
     one = piece(Plan(SegmentStage.RESISTANCE, hold(2.0, -1.0)))
     linear = linear_magnetics(GRID, L_D, 1.4 * L_D)
     found = ripple(one, one.signals, linear)
-    assert np.abs(bend(found, one, linear)).max() < 1e-9 * np.abs(found.damped).max()
+    assert np.abs(bend(found, one, linear)).max() < 1e-9 * np.abs(found.damped()).max()
 
 
 def test_columns_of_the_bend_are_the_second_difference_of_the_flux_along_the_ripple() -> None:
@@ -136,8 +136,8 @@ def test_columns_of_the_bend_are_the_second_difference_of_the_flux_along_the_rip
         for m in [Magnetics(grid, rough)]
         for value, along in zip(values, vectors.T, strict=True)
     )
-    g_dd, g_dq, g_qq = found.gain[0]
-    expected = np.array([[g_dd, g_dq], [g_dq, g_qq]]) @ second
+    l_dd, l_dq, l_qq = found.inductance[0]
+    expected = found.ohm[0] * np.linalg.solve(np.array([[l_dd, l_dq], [l_dq, l_qq]]), second)
     np.testing.assert_allclose(bend(found, one, Magnetics(grid, rough)), expected, rtol=1e-4)
 
 
@@ -147,9 +147,9 @@ def test_a_map_that_is_none_yet_makes_no_voltage_without_bounds(scale: float) ->
     one = piece(Plan(SegmentStage.RESISTANCE, hold(2.0, -1.0)))
     signals = one.signals.replaced({"resistance_ohm": np.full(len(one.signals.v_dc), OHM)})
     rough = np.random.default_rng(2).normal(0.0, 1.0, GRID.size)
-    right = ripple(one, signals, TRUE_MAP).damped
-    flat = ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients)).damped
-    wrong = ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough)).damped
+    right = ripple(one, signals, TRUE_MAP).damped()
+    flat = ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients)).damped()
+    wrong = ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough)).damped()
     np.testing.assert_allclose(flat, right, rtol=1e-9, atol=1e-12 * np.abs(right).max())
     # Not more than what a ripple at the least inductance drops across the resistance.
     assert np.abs(wrong).max() < OHM * BUS_V / FS / (MIN_INDUCTANCE_RATIO * L_D)
