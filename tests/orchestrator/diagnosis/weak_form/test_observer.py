@@ -62,3 +62,12 @@ def test_a_map_that_is_nearly_flat_leads_the_current_no_further_than_the_largest
     off, largest = np.linalg.norm(current - i_ab, axis=1), float(np.linalg.norm(i_ab, axis=1).max())
     assert off.max() <= largest * (1.0 + 1e-9)
     np.testing.assert_allclose(off[500:600], largest, rtol=1e-9)
+
+
+def test_the_current_holds_hardly_any_of_the_readings_noise_at_the_ripples_frequency() -> None:
+    """A lag tau of the sensors is undone by tau di/dt, whose noise the readings' noise model does not have."""
+    noise = np.random.default_rng(1).normal(0.0, NOISE_A, V_DQ.shape)
+    left = (_observed(noise)[2] - _observed()[2])[500:]
+    # In phase with the readings' own: what tau times its slope would add to them, over tau.
+    added = (np.diff(to_dq(left, ANGLE), axis=0) * FS * noise[501:]).mean(axis=0) / NOISE_A**2
+    assert np.abs(added).max() < 0.3 / TAU_S
