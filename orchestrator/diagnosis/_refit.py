@@ -151,7 +151,7 @@ def _added(
         setup.fitter.under_way("testing a finer map")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
     ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
-    added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
+    added = _judged(setup, [(b.fit, a) for b, a in pairwise(steps) if a.added is not None])
     helping = {name: helps(before, after) for name, before, after in added}
     before = added[-1][:2] if added else None
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping, before)
@@ -174,6 +174,28 @@ def _added(
     together = (*benefits, *report.remarks, *remaining, *besides)
     # Wrong units or frames make the benefit of an effect meaningless.
     return report.model_copy(update={"remarks": tuple(sorted(together, key=lambda one: one.code != "convention"))})
+
+
+def _judged(setup: DiagnosisSetup, steps: Sequence[tuple[Fit, AcceptedModel]]) -> list[tuple[str, Fit, Fit]]:
+    """Each added effect with the fits without and with it.
+
+    Of several effects each is left out of the model with all: beside one that is still missing, another's benefit is
+    none.
+    """
+    single = [(step.added, before, step.fit) for before, step in steps if step.added is not None]
+    last = single[-1][2] if single else None
+    if last is None or len(single) == 1:
+        return single
+    judged = []
+    for name, before, after in single:
+        others = [a for a in last.model.active if a.name != name]
+        if len(others) == len(last.model.active):  # a freed map, which no effect's absence gives back
+            judged.append((name, before, after))
+            continue
+        setup.fitter.under_way(f"fitting the model without {plain(name)}")
+        without = setup.fitter.evaluate(last.model.with_active(others), last.linearisation)
+        judged.append((name, setup.fitter.fit(without.model, without.linearisation), last))
+    return judged
 
 
 def _present(pairs: Sequence[tuple[str, str]], name: str, before: Fit) -> list[str]:

@@ -93,7 +93,11 @@ def motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) -
     elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
         chosen = load_motor(path)  # the mapping of a table names its motor
     if motor is not None:
-        chosen = motor if isinstance(motor, Motor) else load_motor(Path(motor))
+        given = motor if isinstance(motor, Motor) else load_motor(Path(motor))
+        if chosen is not None and given != chosen:
+            problem = f"{chosen.name}'s map was measured, and {given.name} is another motor: leave it out (--motor)"
+            raise InputError(str(path), "motor", problem)
+        chosen = given
     if chosen is None:
         raise InputError(str(path), "motor", "a map file has no motor: give it or its YAML file (--motor)")
     return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured}), name
