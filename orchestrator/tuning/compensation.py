@@ -40,6 +40,7 @@ OF_RIPPLE = "it acts on ripple only"
 NO_TRACE = "it changes neither constant readings, nor a constant voltage, nor an angle or a delay"
 NOT_COMPENSABLE = "a drive cannot take it out"
 DRIFTS = "it changes with time, which no table can follow"
+READS_VOLTAGE = "its readings follow the phase voltage, which the code's correction of readings does not have"
 UNLIKE_LEGS = "{where}; the code has one table for all legs"
 PARTLY = "it is compensated in part: {part} of what it changes depends on more than the tables know"
 OF_MEAN_LEG = (
@@ -181,6 +182,8 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
         return _reason(probes, term), None
     if probes.drifts(term):
         return DRIFTS, None
+    if probes.reads_voltage(term):
+        return READS_VOLTAGE, None
     if effect.layer is EffectLayer.INVERTER and (where := _unlike_legs(probes.leg_losses(term), probes.bus_v)):
         return UNLIKE_LEGS.format(where=where), None
     response = probes.response(term)

@@ -43,6 +43,10 @@ RAMP_ROWS = 4096
 """Rows of a slow rise: lags of up to a hundred rows have settled in its middle."""
 RAMP_VOLTAGE_RATIO = 0.05
 """Height of the voltage's triangle over the bus voltage: the duties stay near one half."""
+BACK_EMF_RATIO = 0.2
+"""Voltage beside that of R_s over the bus voltage, as of a turning motor's magnets."""
+GROWS_WITH_VOLTAGE = 1.5
+"""Growth of a reading's change from half the voltage to the whole: 2 in proportion to it, 1 by its direction alone."""
 PROBED_ANGLES = 24
 """Angles of a turn at which the d axis is probed: harmonics of a turn up to the 23rd average out."""
 LATE_S = 3600.0
@@ -208,6 +212,17 @@ class Probes:
         changes = [np.abs(getattr(late, name) - getattr(early, name)).max() / size for name, size in sizes.items()]
         return bool(max(changes) > TRACE_RATIO)
 
+    def reads_voltage(self, term: EffectTerm) -> bool:
+        """Whether what an effect does to readings grows with the voltage; raises `PluginError` where it fails.
+
+        At rest the voltage is R_s i, so that such a reading seems to have a gain, which a turning motor's has not.
+        """
+        some = self.current_a[:: len(self.current_a) // 4]
+        beside = [self._holds(some, self.bus_v, beside_v=x * BACK_EMF_RATIO * self.bus_v) for x in (0.0, 0.5, 1.0)]
+        still, half, whole = (apply_effect(holds, term).signals.i_ab - holds.i_ab for holds in beside)
+        at_half, at_whole = (float(np.abs(change - still).max()) for change in (half, whole))
+        return at_whole > max(GROWS_WITH_VOLTAGE * at_half, TRACE_RATIO * float(self.current_a[-1]))
+
     def leg_losses(self, term: EffectTerm) -> Array:
         """Voltage that each leg loses over its own current at the nominal bus voltage [V], odd, shape (3, k)."""
         holds = self._both_holds[0]
@@ -268,13 +283,13 @@ class Probes:
         current = self._signals(self.current_a[-1] * triangle, nothing, self.bus_v)
         return SignalBatch.of([current]), SignalBatch.of([self._signals(nothing, volts, self.bus_v)])
 
-    def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
+    def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0, beside_v: float = 0.0) -> SignalBatch:
         """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,).
 
-        The voltage is that of R_s.
+        The voltage is that of R_s, and `beside_v` along alpha and along beta.
         """
         held = np.repeat((DIRECTIONS[:, None, :] * phase_a[:, None]).reshape(-1, 2), HOLD_ROWS, axis=0)
-        return _holds_of(self._signals(held, self._model.r_s_ohm * held, bus_v, start_s=start_s))
+        return _holds_of(self._signals(held, self._model.r_s_ohm * held + beside_v, bus_v, start_s=start_s))
 
     def _signals(
         self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: Array | float = 0.0

@@ -252,6 +252,23 @@ def test_gains_and_offsets_are_undone_in_the_effects_order() -> None:
     assert read @ found.current_gain.T + found.current_offset_a == pytest.approx(true, abs=1e-12)
 
 
+class CommonMode(Effect):
+    """A shunt in the motor's lead, whose amplifier passes a part of the lead's voltage."""
+
+    name: ClassVar[str] = "common_mode"
+    summary: ClassVar[str] = "The readings hold a part of the phase voltage."
+    signature: ClassVar[str] = "Readings along the voltage."
+    layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = ""
+
+    class Parameters(EffectParameters):
+        leak_a_per_v: float = amplitude("A/V", typical=1e-3, prior_width=2e-3, low=-0.1, high=0.1)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        return Correction(i_ab=signals.i_ab - p.leak_a_per_v * signals.v_ab)
+
+
 @pytest.mark.parametrize("delay_s", [3e-5, -2e-5, 2.6e-4])
 def test_a_late_voltage_is_a_delay(delay_s: float) -> None:
     found = one(VoltageDelay(), delay_s=delay_s)
@@ -283,6 +300,7 @@ def test_a_misaligned_rotor_is_an_angle() -> None:
         (BusSag(), {"per_watt": 1e-4}, "measures its bus voltage"),
         (CurrentOffsetDrift(), {"rate_a_a_per_s": 1e-4}, "changes with time"),
         (SamplingOffset(), {"offset_s": 5e-6}, "neither constant readings"),
+        (CommonMode(), {"leak_a_per_v": 2e-3}, "follow the phase voltage"),
     ],
 )
 def test_what_is_not_the_drives_is_left_out_with_its_reason(
