@@ -50,8 +50,9 @@ NOISE_FLOOR_MEANING = (
     "samples as the error beside it."
 )
 PART_MEANING = (
-    "error without it: the rms error that returns without the effect, over the first model's; each is of the kind of "
-    "stage where it is largest, so that they do not add up to 100 %"
+    "error without it: the rms change of the residual where the effect is left out and R_s and the map alone are "
+    "refitted, over the first model's error; the largest of holds, sweeps, means and ripple under injection, so that "
+    "the parts do not add up to 100 % and `remove`, over all stages, prints another error"
 )
 STAND_IN = (
     "probability and material are of these effects if nothing else acts; something unknown does, and may be what they "
