@@ -109,7 +109,12 @@ def _describe_effect(effect: Any, as_json: bool) -> int:
     if effect.gauge:
         say(f"not determined: {effect.gauge}")
     say("", text_table(("parameter", "role", "unit", "typical", "range"), rows, numbers=False))
-    say_notes(["typical sizes and ranges are those of a 400 W machine; a diagnosis scales them by the nameplate"])
+    say_notes(
+        [
+            "typical sizes and ranges are those of a 400 W machine at 540 V; `diagnose` and `explain` scale them to "
+            "the motor and its bus, and state the scaled ones"
+        ]
+    )
     return 0
 
 
