@@ -97,7 +97,8 @@ def resistance_course(estimate: ResistanceEstimate) -> str:
     first, last = ((scale.quantity(r), quantity(r, "ohm", 4)) for r in (estimate.first_ohm, estimate.last_ohm))
     if first == last:
         return UNCHANGED
-    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
+    is_read = bool(estimate.readings) and not estimate.is_of_model
+    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if is_read else _ENDS
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
     )
