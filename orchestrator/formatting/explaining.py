@@ -30,13 +30,14 @@ _MOVE_MEANINGS: Mapping[str, str] = {
     "screen": "the fall of chi2 that each absent effect promises, without a fit; below a tenth of the misfit that is "
     "left, or within chance, none is tried",
     "refit": "a fit with one of these effects each; the one of the largest gain is added next",
+    "add": "fitted on from the refit, linearised anew, so that its chi2 may differ from the refit's",
     "full_model": "all effects of the library at once; those that nothing requires are removed again",
     "swap": "one effect in place of another",
     "merge": "two effects that the recording does not separate become one",
     "free_shape": "the form of an effect's curve is fitted, too",
     "fix_shape": "the form of an effect's curve is held",
     "switch_form": "the other form of an effect",
-    "finer_map": "more detail of the flux map",
+    "finer_map": "more detail of the flux map; after an add it was tried in its place, hence from the same chi2",
     "coarser_map": "less detail of the flux map",
     "noise": "scatter between segments, or the model's own error, as noise",
     "quantiser": "the rounding of the PWM timer",
@@ -132,14 +133,14 @@ def search_lines(events: Sequence[SearchEvent]) -> list[str]:
     return lines
 
 
-def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
-    """The evidence for each named effect; see `BASIS_HEAD`."""
+def basis_rows(effects: Sequence[EffectBasis], events: Sequence[SearchEvent] = ()) -> list[tuple[str, ...]]:
+    """The evidence for each named effect, marked where it is of a part of the recording; see `BASIS_HEAD`."""
     return [
         (
             plain(effect.name),
             percent(None if effect.relative_size is None else 100.0 * effect.relative_size),
             percent(None if effect.share is None else 100.0 * effect.share),
-            _scored(effect.log_evidence, "log_evidence"),
+            _scored(effect.log_evidence, "log_evidence") + (" (part)" if _is_of_part(effect, events) else ""),
             probability(effect.probability),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
             ", ".join(map(str, effect.steps)) or UNKNOWN,
@@ -147,6 +148,24 @@ def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
         )
         for effect in effects
     ]
+
+
+def log_evidence_notes(effects: Sequence[EffectBasis], events: Sequence[SearchEvent]) -> list[str]:
+    """How to read the log evidence of named effects."""
+    part = "part: on that part of the recording on which the search added the effect; of the whole it is mostly more"
+    return [LOG_EVIDENCE_SCALE] + [part] * any(_is_of_part(effect, events) for effect in effects)
+
+
+def _is_of_part(effect: EffectBasis, events: Sequence[SearchEvent]) -> bool:
+    """Whether an effect's log evidence is the gain of a move on a part of the recording."""
+    return effect.log_evidence is not None and any(
+        event.data == "part"
+        and event.move == "add"
+        and event.step in effect.steps
+        and event.score is not None
+        and math.isclose(event.score, effect.log_evidence)
+        for event in events
+    )
 
 
 def accuracy_sentences(report: DiagnosisReport) -> list[str]:

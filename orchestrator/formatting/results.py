@@ -50,8 +50,9 @@ NOISE_FLOOR_MEANING = (
     "samples as the error beside it."
 )
 PART_MEANING = (
-    "error without it: the rms error that returns without the effect, over the first model's; each is of the kind of "
-    "stage where it is largest, so that they do not add up to 100 %"
+    "error without it: the rms change of the residual where the effect is left out and R_s and the map alone are "
+    "refitted, over the first model's error; the largest of holds, sweeps, means and ripple under injection, so that "
+    "the parts do not add up to 100 % and `remove`, over all stages, prints another error"
 )
 STAND_IN = (
     "probability and material are of these effects if nothing else acts; something unknown does, and may be what they "
@@ -96,7 +97,8 @@ def resistance_course(estimate: ResistanceEstimate) -> str:
     first, last = ((scale.quantity(r), quantity(r, "ohm", 4)) for r in (estimate.first_ohm, estimate.last_ohm))
     if first == last:
         return UNCHANGED
-    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
+    is_read = bool(estimate.readings) and not estimate.is_of_model
+    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if is_read else _ENDS
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
     )

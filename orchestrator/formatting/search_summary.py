@@ -50,6 +50,26 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     return lines
 
 
+def search_notes(events: Sequence[SearchEvent]) -> list[str]:
+    """How values of chi2 in a search's summary stand to those that a diagnosis prints elsewhere."""
+    if any(event.move == "remove" and _is_kept(event) for event in events):
+        return [
+            "without it: the other effects are refitted then; the ladder of `diagnose` adds the effects one by one, at "
+            "their final sizes"
+        ]
+    return []
+
+
+def noise_note(events: Sequence[SearchEvent]) -> str:
+    """Why the reasons' first chi2 is not that of the search's beginning; empty where noise was not counted anew."""
+    counted = [event.step for event in events if event.move == "noise" and event.decision == "accepted"]
+    first = next((event.chi2_after for event in events if event.move == "baseline"), None)
+    if not counted or first is None:
+        return ""
+    begins = f"the search begins at chi2 {number(first, 4)}, before that step"
+    return f"These values count the noise as step {counted[-1]} of the search does; {begins}."
+
+
 def _model_after(event: SearchEvent, model: set[str]) -> set[str]:
     """The effects of the model after an accepted move."""
     names = set(event.effects)
@@ -96,9 +116,16 @@ def _removed(event: SearchEvent) -> str | None:
         return f"{_names(event)} {_is(event)} removed: the size differs by {scatter} between parts of the recording"
     if event.decision == "accepted":
         return f"{_names(event)} {_is(event)} removed, which the data do not require: {_course(event)}"
-    if event.data == "part" or event.chi2_after is None:
-        return None
-    return f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}"
+    return (
+        f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}"
+        if _is_kept(event)
+        else None
+    )
+
+
+def _is_kept(event: SearchEvent) -> bool:
+    """Whether a removal on the whole recording was refused for what it leaves."""
+    return event.decision != "accepted" and event.data == "whole" and event.chi2_after is not None
 
 
 def _exchanged(event: SearchEvent) -> str | None:

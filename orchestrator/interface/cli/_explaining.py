@@ -7,10 +7,10 @@ from pathlib import Path
 
 from orchestrator.formatting.explaining import (
     BASIS_HEAD,
-    LOG_EVIDENCE_SCALE,
     NEXT_STEPS,
     SEARCH_HEAD,
     basis_rows,
+    log_evidence_notes,
     reason_sentences,
     search_legend,
     search_rows,
@@ -18,7 +18,7 @@ from orchestrator.formatting.explaining import (
 from orchestrator.formatting.names import VERDICTS, plain
 from orchestrator.formatting.quantities import plural
 from orchestrator.formatting.results import STAND_IN, part_notes
-from orchestrator.formatting.search_summary import search_summary
+from orchestrator.formatting.search_summary import noise_note, search_notes, search_summary
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from orchestrator.recording import has_recording
@@ -39,6 +39,8 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     run = shlex.quote(str(path))
     say(f"{path}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
     say(*(f"  {sentence}" for sentence in reason_sentences(explanation.reasons)))
+    if explanation.reasons and (note := noise_note(explanation.search)):
+        say(f"  {note}")
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
     if explanation.model_changes:
@@ -47,9 +49,7 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
     if search:
         say("", "how the search got there (chi2 per degree of freedom, 1 is noise alone):")
         say(*(f"  {line}" for line in search_summary(search)))
-        noise = [e.step for e in search if e.move == "noise" and e.data == "whole" and e.decision == "accepted"]
-        if noise:
-            say(f"  the reasons' chi2 counts the noise of step {noise[-1]} from the beginning")
+        say(*(f"  {note}" for note in search_notes(search)))
         if not steps:
             say(f"  `fluxbench explain {run} --steps` lists all {plural(len(search), 'step')}")
     if search and steps:
@@ -58,9 +58,16 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
         say_notes(search_legend(search))
     if explanation.effects:
         say("", "evidence for each named effect:")
-        say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
+        say_wide_table(BASIS_HEAD, basis_rows(explanation.effects, search))
         doubt = [STAND_IN] if explanation.verdict == "unknown_remains" else []
-        say_notes((*doubt, *explanation.notes, *part_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+        say_notes(
+            (
+                *doubt,
+                *explanation.notes,
+                *part_notes(explanation.effects),
+                *log_evidence_notes(explanation.effects, search),
+            )
+        )
     if explanation.to_decide:
         say("", f"to decide: {explanation.to_decide}")
     if has_recording(path):

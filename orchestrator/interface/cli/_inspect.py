@@ -105,11 +105,17 @@ def _describe_effect(effect: Any, as_json: bool) -> int:
     if effect.needs:
         say(f"what tells it from others: {listed([CONTRASTS[need].text for need in effect.needs])}")
     say(f"at the bench: {getattr(effect, 'at_the_bench', BENCH_ADVICE[effect.layer])}")
-    say("in the drive: " + ("`fluxbench tune` compensates what follows current, angle and bus" if is_compensable(effect) else "not to be compensated"))
+    compensated = "`fluxbench tune` compensates what follows current, angle and bus"
+    say("in the drive: " + (compensated if is_compensable(effect) else "not to be compensated"))
     if effect.gauge:
         say(f"not determined: {effect.gauge}")
     say("", text_table(("parameter", "role", "unit", "typical", "range"), rows, numbers=False))
-    say_notes(["typical sizes and ranges are those of a 400 W machine; a diagnosis scales them by the nameplate"])
+    say_notes(
+        [
+            "typical sizes and ranges are those of a 400 W machine at 540 V; `diagnose` and `explain` scale them to "
+            "the motor and its bus, and state the scaled ones"
+        ]
+    )
     return 0
 
 

@@ -30,6 +30,9 @@ FORM_MEANING = (
     "best value is another, and may lie outside the diagnosis' interval."
 )
 TOO_SMALL = "hidden, but too small, or too similar to the others, for this recording; no name is missing for it"
+BY_ALIGNMENT = "the run itself caused it, as its alignment left the rotor at an angle"
+PERCENT: float = 100.0
+"""Per cent of one."""
 SAME_SIZE: float = 0.01
 """Relative difference of a hidden size and of the one that came of it, from which both are printed."""
 WHOLE = "expected a whole number from 0 on"
@@ -40,7 +43,9 @@ def mystery(
     guess: Annotated[
         str | None,
         typer.Option(
-            help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.", metavar="EFFECTS"
+            help="Names of effects, optionally NAME=800mV or NAME=30%, separated by commas; or: nothing. A number "
+            "without a unit is in SI. What an earlier guess had right counts.",
+            metavar="EFFECTS",
         ),
     ] = None,
     reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
@@ -52,7 +57,14 @@ def mystery(
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
-    from plugins.commands.mystery._guessing import caused_effects, judge, read_guess, sealed_effects
+    from plugins.commands.mystery._guessing import (
+        accepted_before,
+        caused_effects,
+        judge,
+        keep_accepted,
+        read_guess,
+        sealed_effects,
+    )
 
     if number < 0:
         raise InputError("NUMBER", str(number), WHOLE)
@@ -74,8 +86,15 @@ def mystery(
         sealed, caused = sealed_effects(path), caused_effects(path)
         guesses, known = read_guess(guess), _known(path, {**sealed, **caused})
         verdict = judge(
-            guesses, sealed, _fitted(path), caused, lambda guessed, name: known.fits_as_well(name, guessed), known.shows
+            guesses,
+            sealed,
+            _fitted(path),
+            caused,
+            lambda guessed, name: known.fits_as_well(name, guessed),
+            known.shows,
+            accepted_before(path),
         )
+        keep_accepted(path, verdict)
     hidden = sealed_effects(path) if reveal else None
     if as_json:
         _print_json(path, verdict, hidden)
@@ -87,7 +106,7 @@ def mystery(
         for name, parameters in caused_effects(path).items():
             sizes = _sizes_in_words(name, parameters)
             if name not in hidden:
-                _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
+                _print_line(f"{name}: not hidden; {BY_ALIGNMENT}: {sizes}")
             elif any(
                 abs(value - hidden[name].get(key, 0.0)) > SAME_SIZE * abs(value) for key, value in parameters.items()
             ):
@@ -125,7 +144,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
-        _print_line("A size may follow a name (NAME=800mV, or a number in SI).")
+        _print_line("A size may follow a name (NAME=800mV, NAME=30%, or a number in SI).")
         _print_line("See whether the error falls with your guess in the model; the report then shows before and after:")
         _print_line(f"  fluxbench add {path} NAME")
         _print_line("What the diagnosis finds, which gives most of it away; --reveal prints what is hidden:")
@@ -187,9 +206,11 @@ def _print_verdict(verdict: Verdict) -> None:
         _print_line(f"{name}: as good: it fits this recording as well as what is hidden")
     for name in verdict.caused:
         suffix = f"; {_graded(sizes[name])}" if name in sizes else ""
-        _print_line(f"{name}: present, but not one of the hidden: the run itself caused it{suffix}")
+        _print_line(f"{name}: present, but not one of the hidden: {BY_ALIGNMENT}{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
+    for name in verdict.before:
+        _print_line(f"{name}: right in an earlier guess")
     if len(verdict.wrong) > 1:
         count = len(verdict.right + verdict.as_good + verdict.caused + verdict.wrong)
         _print_line(f"{len(verdict.wrong)} of {count} names are wrong.")
@@ -198,7 +219,7 @@ def _print_verdict(verdict: Verdict) -> None:
     if verdict.complete:
         _print_line(_complete(verdict))
     elif verdict.still_hidden:
-        is_part = bool(verdict.right or verdict.as_good or verdict.too_small)
+        is_part = bool(verdict.right or verdict.as_good or verdict.before or verdict.too_small)
         more = " more" if is_part else ""
         hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
         _print_line(hidden if is_part or verdict.wrong or verdict.caused else f"nothing: wrong; {hidden}")
@@ -206,7 +227,7 @@ def _print_verdict(verdict: Verdict) -> None:
 
 def _complete(verdict: Verdict) -> str:
     is_shown = "that this recording shows" if verdict.too_small else "there is"
-    if verdict.right or verdict.as_good:
+    if verdict.right or verdict.as_good or verdict.before:
         return f"That is all {is_shown}."
     return f"Right: {'this recording shows nothing more' if verdict.too_small else 'nothing is hidden in this motor'}."
 
@@ -216,7 +237,15 @@ def _graded(size: GuessedSize) -> str:
         return f"no size was given, and none is graded; the run's model has {_size(size)}"
     if size.is_of_one_angle:
         return f"{_size(size)} belongs to this angle alone, and is not graded"
-    return f"{_size(size)} is {_error(size.ratio)}"
+    return f"{_size(size)} is {_error(size.ratio)}{_in_percent(size)}"
+
+
+def _in_percent(size: GuessedSize) -> str:
+    """How to write per cent, where a size is about as wrong as one whose sign of it was left out; else empty."""
+    ratio, unit = size.ratio or 0.0, _unit(size.name, size.parameter)
+    if not PERCENT / 2.0 < ratio < 2.0 * PERCENT or not unit.startswith("1"):
+        return ""
+    return f"; a number alone is in SI, here {unit}: for per cent write {size.name}={size.guessed:g}%"
 
 
 def _size(size: GuessedSize) -> str:
@@ -229,11 +258,15 @@ def _sizes_in_words(effect: str, parameters: Mapping[str, float]) -> str:
 
 def _in_words(effect: str, parameter: str, value: float) -> str:
     """A parameter as the report prints it: ``bias a 52.1 mV``."""
+    unit = _unit(effect, parameter)
+    return f"{parameter_words(parameter)} {quantity(value, unit)}{in_degrees(value, unit)}"
+
+
+def _unit(effect: str, parameter: str) -> str:
     from orchestrator.registry.plugins import PluginKind, load_plugin
 
     declared = load_plugin(PluginKind.EFFECTS, effect)().Parameters.declared()
-    unit = next((one.unit for one in declared if one.name == parameter), "1")
-    return f"{parameter_words(parameter)} {quantity(value, unit)}{in_degrees(value, unit)}"
+    return next((one.unit for one in declared if one.name == parameter), "1")
 
 
 def _error(ratio: float | None) -> str:

@@ -7,11 +7,14 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import Field
 
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import unit_words
 from orchestrator.formatting.sentences import listed
+from orchestrator.recording import read_json, write_json
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.validation.quantities import value_in
@@ -19,6 +22,7 @@ from plugins.commands.mystery._drawing import HOW_MANY, MIN_ANGLE_RAD
 from protocols import Contrast, InputError, ParameterRole, Strict
 
 NOTHING = "nothing"
+ACCEPTED_NAME = "accepted.json"
 MAX_GUESSES: int = max(HOW_MANY) + 1
 """Names in one guess: those that may be hidden, and one that the run itself may cause."""
 _POWER = re.compile("·10([⁻⁰¹²³⁴-⁹]+)")
@@ -62,6 +66,10 @@ class Verdict(Strict):
     too_small: int = 0
     """Hidden effects that the guess lacks and the recording does not show beside the others."""
     sizes: tuple[GuessedSize, ...]
+    before: tuple[str, ...] = ()
+    """Names that earlier guesses had right and this one lacks; they count."""
+    covered: dict[str, str] = Field(default_factory=dict, exclude=True, repr=False)
+    """Each hidden effect that this guess names, or names an equal of, and that name. Never shown."""
 
     @property
     def complete(self) -> bool:
@@ -149,6 +157,35 @@ def caused_effects(run: Path) -> Effects:
     return {"rotor_misalignment": {"angle_rad": angle}}
 
 
+class Accepted(Strict):
+    """The accepted guesses of a mystery, a file beside its truth."""
+
+    format: Literal["fluxbench-accepted-guesses"] = "fluxbench-accepted-guesses"
+    version: Literal[1] = 1
+    covered: dict[str, str] = Field(default_factory=dict)
+    """By the hidden effect: the name that was accepted for it."""
+
+
+def accepted_before(run: Path) -> dict[str, str]:
+    """By the hidden effect, the name that an earlier guess had right; empty before the first one.
+
+    Raises
+    ------
+    RecordingError
+        Where the file of them is damaged.
+    """
+    path = private_directory(run.resolve()) / ACCEPTED_NAME
+    return read_json(path, Accepted).covered if path.is_file() else {}
+
+
+def keep_accepted(run: Path, verdict: Verdict) -> None:
+    """Keep what a guess had right, so that the next one need not repeat it; raises `StorageError`."""
+    before = accepted_before(run)
+    covered = {**before, **verdict.covered}
+    if covered != before:
+        write_json(private_directory(run.resolve()) / ACCEPTED_NAME, Accepted(covered=covered))
+
+
 def judge(
     guesses: Iterable[Guess],
     hidden: Effects,
@@ -156,6 +193,7 @@ def judge(
     extra: Effects | None = None,
     fits_as_well: Callable[[str, str], bool] = lambda guessed, hidden: False,
     shows: Callable[[str], bool] = lambda hidden: True,
+    before: Mapping[str, str] | None = None,
 ) -> Verdict:
     """Compare guesses with the hidden effects.
 
@@ -170,10 +208,13 @@ def judge(
         Whether a guessed effect in a hidden one's place fits the recording as well, by their names.
     shows : callable
         Whether the recording shows a hidden effect beside the others, by its name.
+    before : mapping, optional
+        What earlier guesses had right (`accepted_before`): not missing where names are guessed.
     """
     guesses = tuple(guesses)
     true = {**hidden, **(extra or {})}
     right = tuple(guess.name for guess in guesses if guess.name in hidden)
+    covered = {name: name for name in right}
     missing = [name for name in hidden if name not in right]
     as_good = []
     for guess in guesses:
@@ -181,6 +222,9 @@ def judge(
         if twin is not None:
             missing.remove(twin)
             as_good.append(guess.name)
+            covered[twin] = guess.name
+    known = {name: guessed for name, guessed in (before or {}).items() if guesses and name in missing}
+    missing = [name for name in missing if name not in known]
     shown = [name for name in missing if shows(name)]
     sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(
@@ -191,6 +235,8 @@ def judge(
         still_hidden=len(shown),
         too_small=len(missing) - len(shown),
         sizes=tuple(size for size in sizes if size is not None),
+        before=tuple(dict.fromkeys(known.values())),
+        covered=covered,
     )
 
 

@@ -32,6 +32,8 @@ class Line:
     text: str
     mood: str = ""
     """"good", "warning", "bad" or nothing."""
+    items: tuple[str, ...] = ()
+    """A list below the text."""
 
 
 @dataclass(frozen=True)

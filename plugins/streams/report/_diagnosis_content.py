@@ -35,6 +35,15 @@ def squared(text: str) -> str:
     return typographic(text).replace("chi2", "χ²")
 
 
+def heading(verdict: str) -> str:
+    """The heading of the diagnosis; it says that something is missing only where something is."""
+    if verdict == "clean":
+        return "Where the model was compared"
+    if verdict in ("explained", "explained_in_another_form"):
+        return "Where the model failed, and what explains it"
+    return "Where the model fails, and what is missing in it"
+
+
 def ladder_rows(diagnosis: SavedDiagnosis, learned: Discovery | None = None, changes: Sequence[str] = ()) -> Rows:
     """The error after each added effect; the last line is the noise floor. None where nothing was fitted.
 

@@ -119,8 +119,9 @@ def _put_back(before: DiagnosisStep, after: DiagnosisStep) -> str:
     steps = {"before": before} if before is after else {"before": before, "after": after}
     is_one_curve = {name: figures.hidden_sequence(step) is not None for name, step in steps.items()}
     meaning = (
-        "Where the phases fall together on one odd curve, the inverter is at fault; where their slopes differ, unequal "
-        "resistances or current sensors are; where whole phases lie apart, a constant voltage or a sensor's offset is."
+        "The phases fall together on one odd curve for example where the inverter is at fault, or where R_s rises with "
+        "the winding's heat. Their slopes differ for example by unequal resistances or current sensors. Whole phases "
+        "lie apart for example by a constant voltage or a sensor's offset."
     )
     hidden = "A star connection hides the voltage that all three have in common"
     if not any(is_one_curve.values()):
@@ -151,10 +152,10 @@ def _hidden_in_resistance(before: DiagnosisStep, after: DiagnosisStep) -> str:
         return "R_s is fitted too and takes up what is proportional to the current: a step is left as a sawtooth."
     if abs(fitted[0] / fitted[1] - 1.0) < SAME_RESISTANCE_RATIO:
         return ""
-    more, kind = quantity(abs(fitted[0] - fitted[1]), "ohm", 2), "larger" if fitted[0] > fitted[1] else "smaller"
+    before_ohm, after_ohm = (quantity(one, "ohm", 4) for one in fitted)
     return (
-        f"Before, R_s is {more} {kind}, as it takes up what is proportional to the current: a step is left as a "
-        "sawtooth."
+        f"R_s where the winding is coldest is {before_ohm} before and {after_ohm} after, as it takes up what is "
+        "proportional to the current: a step is left as a sawtooth."
     )
 
 
@@ -192,7 +193,7 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
             yield Picture("A sweep, measured and simulated", caption, panels.before, panels.after)
     if after.resistance is not None and len(after.resistance.time_s) > 1:
         panels = figures.heat_figures(None if is_one else before.resistance, after.resistance)
-        scale = "" if is_one else " Each on a scale of its own."
+        scale = "" if is_one else " Each on scales of its own, as the heat, too, is computed with the model's R_s."
         caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{scale}"
         yield Picture("R_s against the heat", caption, panels.before, panels.after)
 

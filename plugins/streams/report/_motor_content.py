@@ -51,8 +51,10 @@ def resistance_rows(material: Material) -> list[tuple[str, str, str]]:
     if report is None or report.resistance is None:
         return rows
     delivered, alone = report.resistance, report.estimators.resistance if report.estimators is not None else None
-    if (course := resistance_course(delivered)) != UNCHANGED:
-        rows.append((course, "the readings at constant current", "the winding was as warm as at that time"))
+    read = alone if delivered.is_of_model and alone is not None else delivered
+    if (course := resistance_course(read)) != UNCHANGED:
+        source = "the model" if read.is_of_model else "the readings at constant current"
+        rows.append((course, source, "the winding was as warm as at that time"))
     if delivered.is_of_model and alone is not None:
         whole = "the mean over the run, in which the current warmed the winding"
         rows.append((resistance(alone), "the estimators, all readings together", whole))

@@ -15,12 +15,12 @@ from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, is_estimated, typed
-from protocols import DriveRecord, FoundEffect, PluginError, Usability, is_compensable
+from protocols import DiagnosisReport, DriveRecord, FoundEffect, PluginError, Usability, is_compensable
 
 
 def next_steps(material: Material) -> list[Line]:
     """One line on the map, one on its accuracy, one on the diagnosis; between them the changes of the model since."""
-    lines = [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
+    lines = [Line("The map", _about_map(material)), _about_model(material)]
     if material.estimates is not None and (accuracy := accuracy_words(material.estimates)):
         lines.insert(1, Line("Accuracy", f"{typographic(accuracy)}."))
     if material.model_changes:
@@ -47,55 +47,61 @@ def _about_map(material: Material) -> str:
     return f"do not rely on it: {why}."
 
 
-def _about_model(material: Material) -> str:
+def _about_model(material: Material) -> Line:
+    """What to do about the model; the sizes of the causes that it advises on are a list below it."""
+    text, causes = _advice(material)
+    drive = None if material.manifest is None else material.manifest.drive
+    return Line("The model", text, items=tuple(filter(None, (_sized(cause, drive) for cause in causes))))
+
+
+def _advice(material: Material) -> tuple[str, Sequence[FoundEffect]]:
+    """What to do about the model, and the causes that it says to compensate or to take from the model."""
     run = typed(material)
     if material.diagnosis is None:
         is_drawn = material.bare is not None or material.manifest is None
         draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
         is_sealed = material.record is not None and bool(material.record.sealed)
         spoils = ", and gives most of what is hidden in this motor away" if is_sealed else ""
-        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{spoils}{draws}."
+        return f"{_reached(material)}not diagnosed: `fluxbench diagnose {run}` names what it misses{spoils}{draws}.", ()
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
     if report.convention is not None:
-        return f"{to_decide}; then diagnose again."
+        return f"{to_decide}; then diagnose again.", ()
     if proposed is not None and decide == experiment_to_decide(proposed):
         first, second = map(plain, proposed.separates)
         takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
         measure = f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
         if material.manifest is not None and material.record is None:
             measure = f"{takes} more tell {first} from {second}{how_far}: {by_import(run)}."
-        return f"{certain}; then {measure}" if (certain := _certain_remedy(material)) else measure
+        certain = _certain(report)
+        return (f"{_remedy(certain)}; then {measure}" if certain else measure), certain
     if report.verdict == "clean":
-        return "nothing is missing in it."
+        return "nothing is missing in it.", ()
     if report.verdict not in ("explained", "explained_in_another_form"):
-        return f"{to_decide}."
+        return f"{to_decide}.", ()
     if twins := [effect for effect in report.effects if effect.twins]:
         names, present = (twins[0].name, *twins[0].twins), {effect.name for effect in (*report.effects, *report.minor)}
         if present.issuperset(names):
             known = f"how much is whose of {listed([plain(name) for name in names])}; model.json has them together"
         else:
             known = f"whether it is {' or '.join(plain(name) for name in names)}; model.json serves for either"
-        return f"{to_decide}; compensate nothing until it is known {known}."
+        return f"{to_decide}; compensate nothing until it is known {known}.", ()
     if any(remark.code == "fits_better_in_place" for remark in report.remarks):
-        return f"{to_decide}; compensate nothing until then."
-    drive = None if material.manifest is None else material.manifest.drive
-    remedy = _remedy([effect for effect in report.effects if effect.material is not False], drive)
+        return f"{to_decide}; compensate nothing until then.", ()
+    causes = [effect for effect in report.effects if effect.material is not False]
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     rest = f"; {listed(small)}, named too, {'is' if len(small) == 1 else 'are'} too small to matter" if small else ""
-    return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}{rest}."
+    decided = "nothing is left to measure" if decide == NOTHING_TO_DECIDE else to_decide
+    return f"{decided}; {_remedy(causes)}{rest}.", causes
 
 
-def _certain_remedy(material: Material) -> str:
-    """What can be done already about the causes that no other effect may stand for; empty where there is none."""
-    if material.diagnosis is None or material.diagnosis.report.verdict != "explained":
-        return ""
-    report = material.diagnosis.report
+def _certain(report: DiagnosisReport) -> list[FoundEffect]:
+    """The causes that no other effect may stand for, about which something can be done already."""
+    if report.verdict != "explained":
+        return []
     doubtful = {str(one.values.get("effect")) for one in report.remarks if one.code == "fits_better_in_place"}
-    known = [e for e in report.effects if not e.twins and e.material is not False and e.name not in doubtful]
-    drive = None if material.manifest is None else material.manifest.drive
-    return _remedy(known, drive) if known else ""
+    return [e for e in report.effects if not e.twins and e.material is not False and e.name not in doubtful]
 
 
 def _reached(material: Material) -> str:
@@ -107,16 +113,22 @@ def _reached(material: Material) -> str:
     return f"with {listed([plain(name) for name in step.effects])} the error is {error}, noise alone leaves {noise}; "
 
 
-def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:
-    """Compensation in the drive for those causes that allow it, with their sizes, and the model for all."""
+def _remedy(causes: Sequence[FoundEffect]) -> str:
+    """Compensation in the drive for those causes that allow it, and the model for all."""
     if not causes:
         return "no effect is large enough to be compensated; model.json includes them"
-    in_drive = [f"{plain(cause.name)} ({_size(cause, drive)})" for cause in causes if _is_compensable(cause.name)]
-    others = [_for_the_model(cause) for cause in causes if not _is_compensable(cause.name)]
+    in_drive = [plain(cause.name) for cause in causes if _is_compensable(cause.name)]
+    others = [plain(cause.name) for cause in causes if not _is_compensable(cause.name)]
     if not others:
         return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
     rest = f"use model.json for {listed(others)}, which few drives compensate"
     return f"compensate {listed(in_drive)} in the drive, and {rest}" if in_drive else rest
+
+
+def _sized(cause: FoundEffect, drive: DriveRecord | None) -> str:
+    """A cause with what to set or check; empty of one for the model that states neither."""
+    detail = _size(cause, drive) if _is_compensable(cause.name) else _for_the_model(cause)
+    return f"{plain(cause.name)}: {detail}" if detail else ""
 
 
 def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
@@ -152,7 +164,7 @@ def _for_the_model(cause: FoundEffect) -> str:
         for name, p in cause.parameters.items()
         if not p.bends_form
     ]
-    return f"{plain(cause.name)} ({', '.join(sizes)}; {remedy})" if remedy else plain(cause.name)
+    return f"{', '.join(sizes)}; {remedy}" if remedy else ""
 
 
 def _stated(name: str, attribute: str) -> str:

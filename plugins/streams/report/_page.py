@@ -159,6 +159,7 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     report = diagnosis.report
     return {
         "verdict": VERDICTS[report.verdict],
+        "heading": findings.heading(report.verdict),
         "reasons": [findings.squared(reason.sentence) for reason in report.reasons],
         # What is left to decide stands at the top of the page, as what to do now.
         "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],

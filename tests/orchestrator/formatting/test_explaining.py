@@ -6,13 +6,15 @@ from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.formatting.explaining import (
     NEXT_STEPS,
     accuracy_sentences,
+    basis_rows,
+    log_evidence_notes,
     reason_sentences,
     search_legend,
     search_lines,
     search_rows,
 )
 from orchestrator.formatting.names import VERDICTS
-from protocols import Reason
+from protocols import EffectBasis, Reason, SearchEvent
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -51,7 +53,7 @@ def test_a_screen_and_a_refit_say_what_follows_and_large_gains_are_short() -> No
 def test_a_legend_explains_the_moves_and_gains_that_occur() -> None:
     legend = search_legend(some_moves().events)
     assert [line.partition(":")[0] for line in legend] == [
-        "recording", "full model", "screen", "quantiser", "nat", "Δchi2", "%", "chi2",
+        "recording", "full model", "add", "screen", "quantiser", "nat", "Δchi2", "%", "chi2",
     ]  # fmt: skip
 
 
@@ -87,3 +89,15 @@ def test_a_value_beside_two_limits_is_one_sentence() -> None:
         f"{sentences[0].removesuffix('.')}, mostly explained allows up to 2.5.",
         *sentences[1::2],
     ]
+
+
+def test_evidence_of_a_part_of_the_recording_is_marked_and_the_mark_explained() -> None:
+    common = {"effects": ("dead_time",), "measure": "log_evidence", "score": 812.0, "decision": "accepted",
+              "evaluations": 1.0, "seconds": 1.0, "move": "add", "step": 1}  # fmt: skip
+    part, whole = ([SearchEvent.model_validate(common | {"data": data})] for data in ("part", "whole"))
+    basis = EffectBasis(
+        name="dead_time", relative_size=1.0, log_evidence=812.0, probability=1.0, share=1.0, material=True, twins=(),
+        steps=(1,),
+    )  # fmt: skip
+    assert [basis_rows([basis], events)[0][3] for events in (part, whole)] == ["812 nat (part)", "812 nat"]
+    assert [len(log_evidence_notes([basis], events)) for events in (part, whole)] == [2, 1]

@@ -136,6 +136,9 @@ def test_the_course_of_the_resistance_says_when_it_was_read() -> None:
     assert resistance_course(course) == "4.300 Ω at 7.5 s, 4.320 Ω at 82 s"
     of_model = course.model_copy(update={"readings": ()})
     assert resistance_course(of_model) == "4.300 Ω in the first segment, 4.320 Ω in the last"
+    remark = Remark(code="model.of_the_model", text="R_s is that of the whole model")
+    of_model = course.model_copy(update={"remarks": (remark,)})  # beside the readings, which have other values
+    assert resistance_course(of_model) == "4.300 Ω in the first segment, 4.320 Ω in the last"
     assert resistance_course(course.model_copy(update={"last_ohm": 4.3001})) == "unchanged over the recording"
     coarse = course.model_copy(update={"low": -3.0, "high": 22.0})
     assert resistance_course(coarse) == "4 Ω at 7.5 s, 4 Ω at 82 s"

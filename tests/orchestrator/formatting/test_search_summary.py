@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from orchestrator.formatting.search_summary import search_summary
+from orchestrator.formatting.search_summary import noise_note, search_notes, search_summary
 from protocols import SearchEvent
 
 
 def moves(*events: dict[str, object]) -> list[str]:
+    return search_summary(recorded(*events))
+
+
+def recorded(*events: dict[str, object]) -> list[SearchEvent]:
     common: dict[str, object] = {
         "effects": (),
         "data": "whole",
@@ -14,7 +18,7 @@ def moves(*events: dict[str, object]) -> list[str]:
         "evaluations": 1.0,
         "seconds": 1.0,
     }
-    return search_summary([SearchEvent.model_validate(common | {"step": k} | e) for k, e in enumerate(events, 1)])
+    return [SearchEvent.model_validate(common | {"step": k} | e) for k, e in enumerate(events, 1)]
 
 
 def chi2(before: float, after: float | None) -> dict[str, object]:
@@ -109,3 +113,19 @@ def test_a_swap_that_the_recording_does_not_decide_is_said_to_be_one_and_nothing
     assert lines[1].endswith("place of dead time: chi2 1.13 → 1.08, two that the recording does not separate")
     assert len(lines) == 4
     assert lines[-1].endswith("two that this part does not separate")
+
+
+def test_what_an_effect_leaves_without_it_is_told_from_the_ladder_once() -> None:
+    stays = {"move": "remove", "effects": ("dead_time",), "decision": "rejected", **chi2(1.0, 80.0)}
+    (note,) = search_notes(recorded(stays, stays | {"effects": ("bus_sag",)}))
+    assert note.startswith("without it: the other effects are refitted")
+    assert "ladder" in note
+    assert search_notes(recorded(stays | {"data": "part"}, stays | {"decision": "accepted"})) == []
+
+
+def test_noise_that_was_counted_on_the_way_explains_another_first_chi2() -> None:
+    begins, noise = {"move": "baseline", "chi2_after": 29.71}, {"move": "noise", "data": "part", **chi2(1.2, 0.96)}
+    assert noise_note(recorded(begins, noise)) == (
+        "These values count the noise as step 2 of the search does; the search begins at chi2 29.71, before that step."
+    )
+    assert noise_note(recorded(begins, noise | {"decision": "rejected"})) == ""

@@ -14,7 +14,13 @@ from protocols import EffectLayer
 def test_an_effect_is_described_with_its_pattern_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["effects", "dead_time"]) == 0
     out = capsys.readouterr().out
-    for text in ("how it shows: ", "at the bench: ", "second PWM frequency", "`fluxbench tune` compensates what follows"):
+    for text in (
+        "how it shows: ",
+        "at the bench: ",
+        "second PWM frequency",
+        "`fluxbench tune` compensates what follows",
+        "of a 400 W machine at 540 V; `diagnose`",
+    ):
         assert text in out
     assert any(line.split()[:3] == ["voltage_v", "amplitude", "V"] for line in out.splitlines())
 

@@ -140,3 +140,17 @@ def test_a_misalignment_is_judged_by_the_angle_that_came_of_it() -> None:
     hidden = {"rotor_misalignment": {"angle_rad": 0.05}}
     verdict = judge(read_guess("rotor_misalignment=0.06"), hidden, {}, {"rotor_misalignment": {"angle_rad": 0.06}})
     assert verdict.sizes[0].ratio == pytest.approx(1.0)
+
+
+def test_what_an_earlier_guess_had_right_is_not_missing_and_an_equal_names_no_hidden_one() -> None:
+    def is_drop(guessed: str, hidden: str) -> bool:
+        return (guessed, hidden) == ("device_drop", "dead_time")
+
+    first = judge(read_guess("device_drop"), HIDDEN, {}, None, is_drop)
+    assert (first.still_hidden, first.covered) == (1, {"dead_time": "device_drop"})
+    assert "dead_time" not in first.model_dump_json()
+    assert "dead_time" not in repr(first)
+    then = judge(read_guess("current_offset"), HIDDEN, {}, None, is_drop, before=first.covered)
+    assert then.complete
+    assert then.before == ("device_drop",)
+    assert not judge(read_guess("nothing"), HIDDEN, {}, before=first.covered).complete

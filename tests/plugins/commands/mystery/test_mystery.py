@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from orchestrator.recording import open_recording
+from orchestrator.runs import private_directory
 from plugins.commands.mystery import draw, judge, read_guess, sealed_effects
 from plugins.commands.mystery._command import _print_hidden, _print_verdict, command
+from plugins.commands.mystery._guessing import ACCEPTED_NAME
 from protocols import DriveFault, FaultCause, InputError, RecordingError, SegmentStage
 
 NUMBER = 7
@@ -25,6 +27,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert command([str(NUMBER), "--out", str(path), "--quiet"]) == 0
     assert printed.getvalue() == f"{path} is measured; next: fluxbench report {path}\n"
     return path
+
+
+@pytest.fixture(autouse=True)
+def none_accepted_before(run: Path) -> None:
+    (private_directory(run) / ACCEPTED_NAME).unlink(missing_ok=True)
 
 
 def verdict_on(capsys: pytest.CaptureFixture[str], path: Path, *words: str) -> str:
@@ -65,6 +72,19 @@ def test_nothing_is_a_wrong_guess_where_something_is_hidden(run: Path, capsys: p
     hidden = len(draw(NUMBER).plant["effects"])
     assert verdict_on(capsys, run, "--guess", "nothing") == f"nothing: wrong; {hidden} are hidden.\n"
     assert verdict_on(capsys, run, "--guess", "bus_sag") == f"bus_sag: not in this motor\n{hidden} are hidden.\n"
+
+
+def test_what_was_right_before_counts_and_stays_sealed(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = list(draw(NUMBER).plant["effects"])
+    for k, name in enumerate(names):
+        printed = verdict_on(capsys, run, "--guess", name)
+        assert all(f"{other}: right in an earlier guess\n" in printed for other in names[:k])
+        left = len(names) - k - 1
+        assert ("all there is" if left == 0 else f"{left} more") in printed
+    found = json.loads(verdict_on(capsys, run, "--guess", names[0], "--json"))["guess"]
+    assert found["complete"]
+    assert "covered" not in found
+    assert not any(name.encode() in file.read_bytes() for name in names for file in run.iterdir() if file.is_file())
 
 
 def test_the_whole_truth_is_all_there_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,7 +130,10 @@ def test_what_the_run_caused_is_present_and_not_one_of_the_hidden(capsys: pytest
     caused = {"rotor_misalignment": {"angle_rad": 0.02}}
     _print_verdict(judge(read_guess("rotor_misalignment"), {"skin_effect": {"extra_ohm": 2.0}}, {}, caused))
     first, last = capsys.readouterr().out.splitlines()
-    assert first == "rotor_misalignment: present, but not one of the hidden: the run itself caused it"
+    assert first == (
+        "rotor_misalignment: present, but not one of the hidden: the run itself caused it, as its alignment left the "
+        "rotor at an angle"
+    )
     assert last == "1 is hidden."
 
 
@@ -140,7 +163,8 @@ def test_reveal_tells_too_what_the_run_itself_caused(
     turned = {"rotor_misalignment": {"angle_rad": 0.02}}
     monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
     reported = verdict_on(capsys, run, "--reveal")
-    assert "rotor_misalignment: not hidden; the run itself caused it: angle 20 mrad" in reported
+    assert "rotor_misalignment: not hidden; the run itself caused it, as its alignment" in reported
+    assert "at an angle: angle 20 mrad" in reported
     hidden = {"rotor_misalignment": {"angle_rad": 0.018}}
     monkeypatch.setattr("plugins.commands.mystery._guessing.sealed_effects", lambda _: hidden)
     assert "rotor_misalignment: with what the run itself caused, the recording has angle 20 mrad" in verdict_on(
@@ -210,3 +234,17 @@ def test_what_cannot_be_a_mystery_is_one_line(words: list[str], problem: str) ->
     with pytest.raises(InputError, match=problem) as caught:
         command(words)
     assert "\n" not in str(caught.value)
+
+
+def test_a_number_that_was_read_off_in_per_cent_is_told_how_to_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = {"bus_sag": {"per_watt": 5e-6}}
+    for guess, end in (
+        (
+            "bus_sag=0.00055",
+            "110 times too large; a number alone is in SI, here 1/W: for per cent write bus_sag=0.00055%",
+        ),
+        ("bus_sag=0.00055%", "10 % too large"),
+        ("bus_sag=0.005", "1000 times too large"),
+    ):
+        _print_verdict(judge(read_guess(guess), hidden, {}))
+        assert capsys.readouterr().out.splitlines()[0].endswith(end)

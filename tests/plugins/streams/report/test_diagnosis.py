@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
+from orchestrator.formatting.names import VERDICTS
+from orchestrator.formatting.quantities import quantity
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures, write_report
 from plugins.streams.report._diagnosis_figures import (
@@ -264,7 +266,10 @@ def test_pictures_after_are_drawn_enlarged_and_say_their_sign_and_what_r_s_took(
         assert picture.beside
         assert picture.enlarged
         assert picture.caption.startswith("Residual: the recording's voltage less the model's")
-    assert "Before, R_s is 430 mΩ larger" in phases.caption
+    before_ohm, after_ohm = (
+        quantity(float(step.resistance.model_ohm[0]), "ohm", 4) for step in (before, after) if step.resistance
+    )
+    assert f"R_s where the winding is coldest is {before_ohm} before and {after_ohm} after" in phases.caption
     assert "is put back" in phases.caption
 
 
@@ -398,3 +403,9 @@ def test_a_learned_law_is_a_step_of_the_ladder_once_it_is_added() -> None:
     last = findings.ladder_rows(saved(), a_discovery(), ("+ mine",))[-2]
     assert last == ("+ mine (learned)", "1.02", "", "4 mV", "")
     assert findings.ladder_rows(saved(), a_discovery()) == findings.ladder_rows(saved())
+
+
+def test_the_heading_says_that_something_is_missing_only_where_something_is() -> None:
+    missing = {verdict: "missing" in findings.heading(verdict) for verdict in VERDICTS}
+    assert not any(missing[verdict] for verdict in ("clean", "explained", "explained_in_another_form"))
+    assert missing["unknown_remains"]

@@ -105,7 +105,7 @@ def test_other_values_of_the_resistance_say_why_they_differ(material: Material) 
     assert estimates.resistance is not None
     assert [row[1] for row in resistance_rows(material)] == ["the readings at constant current"]
     remark = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
-    of_model = estimates.resistance.model_copy(update={"remarks": (remark,)})
+    of_model = estimates.resistance.model_copy(update={"remarks": (remark,), "last_ohm": 1.7})
     diagnosed = estimates.model_copy(update={"resistance": of_model, "estimators": estimates})
     before, after = some_steps()
     assert before.resistance is not None
@@ -113,6 +113,7 @@ def test_other_values_of_the_resistance_say_why_they_differ(material: Material) 
     steps = (before.model_copy(update={"resistance": larger}), after)
     changed = replace(material, estimates=diagnosed, diagnosis=SavedDiagnosis(a_diagnosis(), WORDS, steps))
     rows = resistance_rows(changed)
+    assert rows[0] == resistance_rows(material)[0]  # the readings, not the model at their times
     assert [row[1] for row in rows] == [
         "the readings at constant current",
         "the estimators, all readings together",

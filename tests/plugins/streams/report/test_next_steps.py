@@ -75,26 +75,37 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("causes", "advice"),
+    ("causes", "advice", "sizes"),
     [
-        (["dead_time"], "compensate dead time (voltage 400 mV) in the drive, or use model.json, which includes that."),
-        (["hysteresis"], "use model.json for hysteresis, which few drives compensate."),
+        (
+            ["dead_time"],
+            "compensate dead time in the drive, or use model.json, which includes that.",
+            ("dead time: voltage 400 mV",),
+        ),
+        (["hysteresis"], "use model.json for hysteresis, which few drives compensate.", ()),
         (
             ["current_offset", "rotor_misalignment", "skin_effect"],
-            "compensate current offset (voltage 400 mV; subtract it from the readings of each sensor) and rotor "
-            "misalignment (voltage 400 mV; add it to the angle that the drive believes, such as the encoder's offset) "
-            "in the drive, and use model.json for skin effect (voltage 400 mV, sharpness −15·10⁶; to check it, "
-            "measure resistance and inductance with a bridge at two frequencies, below and above the corner), which "
+            "compensate current offset and rotor misalignment in the drive, and use model.json for skin effect, which "
             "few drives compensate.",
+            (
+                "current offset: voltage 400 mV; subtract it from the readings of each sensor",
+                "rotor misalignment: voltage 400 mV; add it to the angle that the drive believes, such as the "
+                "encoder's offset",
+                "skin effect: voltage 400 mV, sharpness −15·10⁶; to check it, measure resistance and inductance with "
+                "a bridge at two frequencies, below and above the corner",
+            ),
         ),
     ],
 )
-def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(causes: list[str], advice: str) -> None:
+def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(
+    causes: list[str], advice: str, sizes: tuple[str, ...]
+) -> None:
     found = a_diagnosis().effects[0]
     effects = [found.model_copy(update={"name": name, "twins": ()}) for name in causes]
     saved = SavedDiagnosis(a_diagnosis(effects=effects, next_experiment=None), DECIDED, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
     assert lines[-1].text == f"nothing is left to measure; {advice}"
+    assert lines[-1].items == sizes
 
 
 @pytest.mark.parametrize(
@@ -154,13 +165,10 @@ def test_what_is_entered_as_compensation_is_never_a_value_for_the_inverter_s_own
         "derived": {"dead_time": {"value": 2.03e-7, "low": None, "high": None, "unit": "s"}},
     }
     saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
-    advice = (
-        "compensate dead time (enter 203 ns as compensation, or voltage 400 mV{}; "
-        "leave the inverter's own dead time as it is) in the drive"
-    )
+    advice = "dead time: enter 203 ns as compensation, or voltage 400 mV{}; leave the inverter's own dead time as it is"
     for manifest, where in ((None, ""), (MANIFEST, " at 10 kHz and 540 V")):
         lines = next_steps(Material(Path("run"), manifest, None, (), an_estimate(), {}, Paths(), saved, ()))
-        assert advice.format(where) in lines[-1].text
+        assert lines[-1].items == (advice.format(where),)
 
 
 def test_nothing_is_compensated_while_another_effect_fits_better_in_place() -> None:
@@ -232,7 +240,9 @@ def test_what_is_certain_is_done_before_the_experiment_that_tells_the_rest() -> 
     assert proposed is not None
     words = WORDS.model_copy(update={"to_decide": experiment_to_decide(proposed)})
     saved = SavedDiagnosis(report, words, ())
-    text = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))[-1].text
-    assert text.startswith("compensate rotor misalignment (angle 45.4 mrad (2.6°); add it to the angle")
-    assert "; then `fluxbench run --from run` measures" in text
-    assert "compensate dead time" not in text
+    line = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))[-1]
+    assert line.text.startswith("compensate rotor misalignment in the drive")
+    assert "; then `fluxbench run --from run` measures" in line.text
+    assert [item.partition("; add it to the angle")[0] for item in line.items] == [
+        "rotor misalignment: angle 45.4 mrad (2.6°)"
+    ]
