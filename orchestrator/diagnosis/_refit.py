@@ -42,7 +42,7 @@ from orchestrator.diagnosis.reporting.resemblance import (
 )
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_state import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, evidence_gain
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import measured
 from orchestrator.formatting.sentences import listed
@@ -147,6 +147,9 @@ def _added(
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
+    if len(steps) > 1:
+        new = [step.added for step in steps[1:] if step.added is not None]
+        steps[-1] = replace(steps[-1], fit=_with_similar_ones_anew(setup, steps[-1].fit, new, library))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
         setup.fitter.under_way("testing a finer map")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
@@ -174,6 +177,26 @@ def _added(
     together = (*benefits, *report.remarks, *remaining, *besides)
     # Wrong units or frames make the benefit of an effect meaningless.
     return report.model_copy(update={"remarks": tuple(sorted(together, key=lambda one: one.code != "convention"))})
+
+
+def _with_similar_ones_anew(
+    setup: DiagnosisSetup, fit: Fit, names: Sequence[str], library: Mapping[str, CandidateEffect]
+) -> Fit:
+    """The fit, or a better one where one of two similar effects is added again after the other.
+
+    The first of them had to imitate the second, which was missing, and a fit of both starts there.
+    """
+    if fit.chi2_per_dof < fit.criteria.selection.detected_chi2:
+        return fit
+    for pair in resembling_pairs(setup.fitter, fit, [name for name in names if name in library]):
+        for name in (n for n in pair if n in library):
+            setup.fitter.under_way(f"fitting {plain(name)} anew")
+            others = fit.model.with_active([a for a in fit.model.active if a.name != name])
+            again = with_effect(setup, setup.fitter.fit(others, fit.linearisation), library[name])
+            again = setup.fitter.fit(again.model, again.linearisation)
+            if evidence_gain(again, fit) > fit.criteria.selection.log_evidence:
+                fit = again
+    return fit
 
 
 def _judged(setup: DiagnosisSetup, steps: Sequence[tuple[Fit, AcceptedModel]]) -> list[tuple[str, Fit, Fit]]:
