@@ -1,6 +1,5 @@
-"""What a recording tells of effects that are known to be in it, as in a motor that was simulated.
+"""Effects that are known to be in a recording, as of a simulated motor: which it shows, and what fits as well.
 
-It says which of them the recording shows beside the others, and which other effect does as well in the place of one.
 Nothing is searched for.
 """
 
@@ -71,7 +70,7 @@ class KnownEffects:
             return False
         rest = self._fit([one for one in self.true if one != name])
         named, rival = (self._with(rest, one) for one in (name, other))
-        return evidence_gain(rival, named) > -rest.criteria.selection.tie or fits_as_well(rival, named)
+        return evidence_gain(rival, named) > -rest.criteria.selection.log_evidence or fits_as_well(rival, named)
 
     @cached_property
     def _setup(self) -> DiagnosisSetup:

@@ -55,11 +55,11 @@ class SelectionCriteria(Strict):
     """chi2 per degree of freedom above which the search continues: noise alone stays within 1.00 +- 0.05."""
     log_evidence: float = _is(16.0, "nat", "theory")
     """Gain required to add an effect: chance alone reaches it once in about 1e6 trials, and about twenty effects with
-    several shapes are tried on each recording."""
+    several shapes are tried on each recording. In the report two effects are indistinguishable below it."""
     prior_probability: float = _is(0.2, "1", "practice")
     """Prior probability that a given effect of the library is visible in a recording."""
     tie: float = _is(3.0, "nat", "theory")
-    """Difference in log evidence below which two models are indistinguishable: odds of twenty to one."""
+    """Difference in log evidence below which the search prefers neither of two models: odds of twenty to one."""
     named_share: float = _is(0.05, "1", "practice")
     """Contribution of an effect in any kind of stage over the first model's rms error from which it is a cause."""
     most_trials: int = _is(5, "1", "budget")

@@ -1,4 +1,4 @@
-"""Which measurement tells two hypotheses of a ranking apart, by what differs between them."""
+"""The measurement that separates two hypotheses of a ranking, by what differs between them."""
 
 from __future__ import annotations
 

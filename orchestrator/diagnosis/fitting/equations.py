@@ -156,8 +156,8 @@ class WeakFormEquations:
     ) -> list[DerivativeColumns | None]:
         """Each segment's columns by which the voltages of ripple and effects follow the map.
 
-        Where R_s T / L is large, a hold tells the inductance by what they take of its voltage. With it frozen, the
-        map's move in answer would be wrong, and the next linearisation further away.
+        Where R_s T / L is large, these voltages determine the inductance in a hold. With it frozen, the map's step in
+        response would be wrong, and the next linearisation further away.
         """
         found: list[DerivativeColumns | None] = [None] * len(ripple)
         if all(one is None for one in ripple):

@@ -1,7 +1,6 @@
 """Whether a recording determines an effect's size: the interval that it leaves, beside the effect's typical size.
 
-Where the interval is wider than a typical size, the recording says nothing of the effect, neither that it is there nor
-that it is not.
+Where the interval is wider than a typical size, the recording neither confirms nor excludes the effect.
 """
 
 from __future__ import annotations
