@@ -20,6 +20,8 @@ MAP_QUANTITIES = {
 }
 """A flux map's variables: symbol, and the unit in which they are shown."""
 _PARAMETER_UNITS = (
+    "_ohm_per_a2",
+    "_per_ohm",
     "_a_per_s",
     "_per_s",
     "_a",

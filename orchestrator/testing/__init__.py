@@ -9,7 +9,7 @@ from orchestrator.testing._drive import DriveConformance
 from orchestrator.testing._effect import EffectConformance
 from orchestrator.testing._estimator import EstimatorConformance
 from orchestrator.testing._recorded import recording_with
-from orchestrator.testing._signals import exciting_signals
+from orchestrator.testing._signals import exciting_signals, signals_of
 from orchestrator.testing._stage import StageConformance
 from orchestrator.testing._stream import StreamConformance
 
@@ -21,4 +21,5 @@ __all__ = [
     "StreamConformance",
     "exciting_signals",
     "recording_with",
+    "signals_of",
 ]

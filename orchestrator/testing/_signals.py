@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from orchestrator.numerics.frames import inductance_to_ab, to_ab, to_phases
 from protocols import DriveRecord, LossHistory, Motor, Signals
@@ -61,6 +62,39 @@ def exciting_signals(seed: int = 1) -> Signals:
             pm_flux_wb=0.3,
         ),
         drive=DriveRecord(name="kit", sampling_frequency_hz=fs, pwm_frequency_hz=fs, dc_bus_voltage_v=540.0),
+    )
+
+
+def signals_of(i_ab: ArrayLike, v_ab: ArrayLike | None = None) -> Signals:
+    """Signals of a current of your own, to test an effect's sign and size: a 540 V bus, 4 ohm, the rotor at 0 rad.
+
+    Parameters
+    ----------
+    i_ab : array_like, shape (n, 2)
+        Stator current [A] at 10 kHz.
+    v_ab : array_like, shape (n, 2), optional
+        Commanded voltage [V]; zero by default.
+
+    Raises
+    ------
+    InputError
+        Where the two have other shapes than these.
+    """
+    given, current = exciting_signals(), np.array(i_ab, dtype=np.float64)
+    n, fs = len(current), given.sampling_frequency_hz
+    return Signals(
+        start_s=given.start_s,
+        sampling_frequency_hz=fs,
+        pwm_frequency_hz=given.pwm_frequency_hz,
+        i_ab=current,
+        v_ab=np.zeros((n, 2)) if v_ab is None else np.array(v_ab, dtype=np.float64),
+        v_dc=given.v_dc[:1].repeat(n),
+        theta_rad=np.zeros(n),
+        resistance_ohm=given.resistance_ohm[:1].repeat(n),
+        i_m_ab=current.copy(),
+        heat_j=np.cumsum(6.0 * np.sum(current**2, axis=-1)) / fs,
+        motor=given.motor,
+        drive=given.drive,
     )
 
 

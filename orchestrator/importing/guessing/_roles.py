@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.importing._signals import Axis, Frame
-from orchestrator.importing.guessing._units import names_and_units
+from orchestrator.importing.guessing._units import names_and_units, without_channel
 
 _Namings = tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...]
 """Names of the axes of each frame."""
@@ -81,8 +81,7 @@ def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
 
 def _plain(name: str) -> str:
     """The letters and digits of a name without its unit, without path and a scope's channel: ``CH2 Ia`` is ``ia``."""
-    last = re.sub(r"^(?:ch|channel|c)\s*\d+[\s:_-]+(?=\S)", "", name.strip().lower())
-    return re.sub(r"[^a-z0-9αβ]", "", last.rpartition("/")[2].rpartition(".")[2])
+    return re.sub(r"[^a-z0-9αβ]", "", without_channel(name).rpartition("/")[2].rpartition(".")[2])
 
 
 def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings = _AXES) -> Signal | None:
@@ -90,7 +89,7 @@ def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings
         for naming in namings:
             found = {axis: _named(plain, quantity, text, suffix) for axis, text in naming.items()}
             known = {axis: name for axis, name in found.items() if name is not None}
-            if len(known) >= 2:
+            if len(set(known.values())) >= 2:
                 return Signal(frame, known)
     return None
 
@@ -98,9 +97,9 @@ def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings
 def _named(plain: Mapping[str, str], quantity: str, axis: str, suffix: str) -> str | None:
     """The column of an axis: ``ia``, ``current_phase_a``, ``van``, ``Soll_Ud``; commands before measured values."""
     middle = r"(?:phase|ph|s|l)?"
-    pattern = (
-        rf"{quantity}{middle}{axis}n?{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
-        rf"|{suffix}{quantity}{middle}{axis}n?"
-    )
-    found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]
-    return max(found, key=lambda name: len(plain[name]) * ("ref" in suffix), default=None)
+    in_order = rf"{quantity}{middle}{axis}n?{suffix}|{quantity}{suffix}{axis}|{suffix}{quantity}{middle}{axis}n?"
+    for pattern in (in_order, rf"(?:phase|ph)?{axis}{quantity}"):  # vu is v of phase u, beside vv and vw
+        found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]
+        if found:
+            return max(found, key=lambda name: len(plain[name]) * ("ref" in suffix))
+    return None

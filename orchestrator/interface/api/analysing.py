@@ -355,6 +355,7 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
         effects = [effect for effect in effects if _file_of(effect) != Path(more).resolve()]
     else:
         where, own = "effects", list(more)
+        effects = [effect for effect in effects if type(effect) not in set(map(type, own))]
     for effect in map(guarded, own):
         if not PLUGIN_NAME.match(effect.name):
             problem = "a name has lower-case letters, digits and underscores"
@@ -370,7 +371,9 @@ def _is_own(effect: Effect, more: Effects, installed: Collection[str]) -> bool:
     """Whether an effect was given beside the installed ones, or by the file of one."""
     if effect.name not in installed:
         return True
-    return isinstance(more, str | PathLike) and _file_of(effect) == Path(more).resolve()
+    if isinstance(more, str | PathLike):
+        return _file_of(effect) == Path(more).resolve()
+    return effect.name in {one.name for one in more}
 
 
 def _file_of(effect: Effect) -> Path:

@@ -98,7 +98,10 @@ def _texts(kind: str, name: str) -> dict[str, str]:
         return Template(source).substitute(words)
 
     package = words["package"]
-    procedure = {"procedure.yaml": text("procedure-drive.yaml.txt")} if kind == "drive" else {}
+    further = {
+        "drive": {"procedure.yaml": "procedure-drive.yaml.txt"},
+        "effect": {"hide.py": "hide-effect.py.txt"},
+    }.get(kind, {})
     return {
         f"{package}/{name}.py": text(f"{kind}.py.txt"),
         f"tests/test_{name}.py": text(f"test_{kind}.py.txt"),
@@ -106,5 +109,5 @@ def _texts(kind: str, name: str) -> dict[str, str]:
         "README.md": text(f"README-{kind}.md.txt"),
         f"{package}/__init__.py": text("init.py.txt"),
         f"{package}/py.typed": "",
-        **procedure,
+        **{path: text(template) for path, template in further.items()},
     }

@@ -17,6 +17,7 @@ import scipy.signal
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.importing.guessing._roles import roles_of
+from orchestrator.importing.guessing._units import names_and_units
 from orchestrator.interface.cli._running import run_app
 from orchestrator.recording import open_recording
 from protocols import InputError
@@ -457,3 +458,29 @@ def test_a_command_before_a_name_is_that_of_the_voltages(names: str) -> None:
     assert set(roles.voltage.columns) == {"d", "q"}
     assert roles.current is not None
     assert "bus" in roles.one
+
+
+@pytest.mark.parametrize(
+    ("names", "current", "voltage"),
+    [
+        ("t,i_a,i_b,i_c,u_a,u_b,u_c", "i_a,i_b,i_c", "u_a,u_b,u_c"),
+        ("t,i_a,i_c,v_a,v_c", "i_a,i_c", "v_a,v_c"),
+        ("time_s,CH1 I_A,CH2 I_B,CH3 V_A,CH4 V_B", "CH1 I_A,CH2 I_B", "CH3 V_A,CH4 V_B"),
+        ("time_s,i_a_a,i_b_a,i_c_a,v_a_v,v_b_v,v_c_v,v_dc_v", "i_a_a,i_b_a,i_c_a", "v_a_v,v_b_v,v_c_v"),
+        ("time_s,i_u_a,i_v_a,i_w_a,v_u_v,v_v_v,v_w_v", "i_u_a,i_v_a,i_w_a", "v_u_v,v_v_v,v_w_v"),
+        ("time_s,i_d_a,i_q_a,v_d_v,v_q_v,v_dc_v", "i_d_a,i_q_a", "v_d_v,v_q_v"),
+        ("t,iu,iv,iw,vu,vv,vw", "iu,iv,iw", "vu,vv,vw"),
+        ("t,i_u,i_v,u_u_v,u_v_w,u_w_u", "i_u,i_v", "u_u_v,u_v_w,u_w_u"),
+    ],
+)
+def test_a_suffix_is_a_phase_beside_its_like_and_else_a_unit(names: str, current: str, voltage: str) -> None:
+    roles = roles_of(names.split(","), {})
+    assert roles.current is not None
+    assert roles.voltage is not None
+    assert ",".join(roles.current.columns.values()) == current
+    assert ",".join(roles.voltage.columns.values()) == voltage
+
+
+def test_a_unit_in_lower_case_is_of_a_current_or_a_voltage_that_has_an_axis() -> None:
+    names = ["i_a", "i_d_a", "v_dc_v", "sector_a", "i_u", "v_u_v"]
+    assert [unit for _, unit in names_and_units(names).values()] == [None, "A", "V", None, None, "V"]

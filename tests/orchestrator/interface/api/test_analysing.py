@@ -85,7 +85,12 @@ def test_a_model_s_map_is_the_map_of_what_has_it(out: Path) -> None:
 def test_two_effects_of_one_name_are_refused() -> None:
     assert "my_bias" in [effect.name for effect in chosen_effects([Bias()])]
     with pytest.raises(PluginError, match="dead_time: an effect of that name exists already"):
-        chosen_effects([DeadTime()])
+        chosen_effects([type("Another", (DeadTime,), {})()])
+
+
+def test_an_installed_effect_that_is_given_anew_takes_its_own_place() -> None:
+    names = [effect.name for effect in chosen_effects([DeadTime()])]
+    assert names == [*(e.name for e in chosen_effects() if e.name != "dead_time"), "dead_time"]
 
 
 def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import sysconfig
 import tomllib
 import venv
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -51,6 +51,37 @@ def in_package(folder: Path, *command: str, paths: str = "") -> subprocess.Compl
     )
 
 
+def sign_and_size_of(folder: Path) -> dict[str, Any]:
+    """The names of a new effect's own test, run beside its module without an import of either."""
+    names: dict[str, Any] = {"__name__": __name__}
+    for file in (folder / "fluxbench_fresh" / "fresh.py", folder / "tests" / "test_fresh.py"):
+        lines = [line for line in file.read_text().splitlines() if "fluxbench_fresh" not in line]
+        exec(compile("\n".join(lines), str(file), "exec"), names)
+    return names
+
+
+def test_a_new_effect_s_own_test_fails_for_a_wrong_sign_and_a_wrong_size(tmp_path: Path) -> None:
+    plugin = write_package("effect", "fresh", tmp_path / "effect")[0]
+    right = plugin.read_text()
+    sign_and_size_of(tmp_path / "effect")["test_sign_and_size"]()
+    for wrong in (right.replace("signals.v_ab - ", "signals.v_ab + "), right.replace("i_a**3", "2 * i_a**3")):
+        plugin.write_text(wrong)
+        assert wrong != right
+        with pytest.raises(AssertionError, match="Not equal to tolerance"):
+            sign_and_size_of(tmp_path / "effect")["test_sign_and_size"]()
+
+
+@pytest.mark.slow
+def test_a_new_effect_is_hidden_in_a_recording_and_named(tmp_path: Path) -> None:
+    write_package("effect", "fresh", tmp_path / "effect")
+    for installed in (False, True):
+        if installed:
+            installed_as(tmp_path / "effect")
+        done = in_package(tmp_path / "effect", "hide.py")
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "likely cause: fresh (rise 0.0500" in done.stdout, done.stdout
+
+
 @few("kinds", [("drive",), tuple(KINDS)], ids=["drive", "side by side"])
 def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) -> None:
     for kind in kinds:
@@ -86,9 +117,9 @@ def test_a_new_drive_has_a_procedure_that_runs_and_learns_all_stages_that_it_can
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_readme_speaks_of_names_that_there_are(kind: str, tmp_path: Path) -> None:
-    plugin = write_package(kind, "fresh", tmp_path / kind)[0]
+    code = [path.read_text() for path in write_package(kind, "fresh", tmp_path / kind) if path.suffix == ".py"]
     readme = (tmp_path / kind / "README.md").read_text()
-    known = {*re.findall(r"\w+", plugin.read_text()), *dir(protocols), *get_args(ExcitationKind), *dir(Stage)}
+    known = {*re.findall(r"\w+", "\n".join(code)), *dir(protocols), *get_args(ExcitationKind), *dir(Stage)}
     known |= {*Capabilities.model_fields, *Procedure.model_fields, "demo", "protocols"}
     assert [name for name in re.findall(r"`(\w+)`", readme) if name not in known] == []
     values = re.findall(r"`\w+ = ([^`]+)`", readme)
