@@ -17,6 +17,7 @@ from orchestrator.importing._loading import MappingFile, read_mapping
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._opening import check_file
 from orchestrator.importing._placing import Placing
+from orchestrator.importing._pwm import settings_of
 from orchestrator.importing._segments import segment_of
 from orchestrator.importing._source import Source
 from orchestrator.importing._splitting import RawSegment, Splitter
@@ -172,7 +173,7 @@ class _Import:
                     start_s=written.start_s,
                     samples=written.samples,
                     rotor_angle_rad=rotor_angle_rad,
-                    settings=rule.settings,
+                    settings=settings_of(raw, rate),
                     sha256=written.sha256,
                 )
             )

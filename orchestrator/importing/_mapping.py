@@ -15,6 +15,7 @@ from orchestrator.importing._signals import (
     Column,
     CurrentSignal,
     PhaseCurrents,
+    PwmFrequency,
     Temperature,
     TimeColumn,
     VoltageSignal,
@@ -107,6 +108,7 @@ class FileRule(Strict):
     phase_currents: dict[str, Any] | None = None
     bus: dict[str, Any] | None = None
     temperature: dict[str, Any] | None = None
+    pwm_frequency: dict[str, Any] | None = None
     rotor_angle: dict[str, Any] | None = None
     segment_column: Column | None = None
     csv: dict[str, Any] | None = None
@@ -149,6 +151,8 @@ class ImportMapping(Strict):
     bus: BusVoltage | None = None
     """None: the drive's `dc_bus_voltage_v` in every row."""
     temperature: Temperature | None = None
+    pwm_frequency: PwmFrequency | None = None
+    """None: the drive's in every row, but for rules whose settings state another one."""
     time: TimeColumn | None = None
     sampling_frequency_hz: Positive | None = None
     """None: from the time stamps."""
@@ -194,6 +198,8 @@ class ImportMapping(Strict):
                 found |= dict.fromkeys(signal.columns.values(), signal.unit)
         if self.bus is not None and self.bus.is_in_unit:
             found[self.bus.column] = self.bus.unit
+        if self.pwm_frequency is not None and self.pwm_frequency.is_in_unit:
+            found[self.pwm_frequency.column] = self.pwm_frequency.unit
         if self.time is not None and self.time.unit not in ("tick", "iso"):
             found[self.time.column] = self.time.unit
         return found | {a.column: a.unit for a in self._angles() if a.column is not None and a.is_in_unit}
@@ -207,6 +213,8 @@ class ImportMapping(Strict):
             yield self.bus.column
         if self.temperature is not None:
             yield self.temperature.column
+        if self.pwm_frequency is not None:
+            yield self.pwm_frequency.column
         yield from (angle.column for angle in self._angles() if angle.column is not None)
 
     def _angles(self) -> Iterator[Angle]:

@@ -181,6 +181,13 @@ class Temperature(_Raw):
     unit: TemperatureUnit
 
 
+class PwmFrequency(_Raw):
+    """The PWM frequency of each row, where the drive changes it."""
+
+    column: Column
+    unit: Literal["Hz", "kHz"]
+
+
 class TimeColumn(Strict):
     """The time stamps: of any clock, a counter's, or dates."""
 

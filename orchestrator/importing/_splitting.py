@@ -80,7 +80,8 @@ class _Growing:
 class _Open:
     """A segment that may continue in the next block."""
 
-    key: tuple[int, str]
+    key: tuple[int, str, float]
+    """Rule, label, and number in the column of the PWM frequency."""
     first_row: int
     rows: int = 0
     columns: dict[str, _Growing] = field(default_factory=dict)
@@ -132,8 +133,9 @@ class Splitter:
             time_s = self._stamps.seconds(mapping, block, row)
             labels = block.labels or Labels(np.zeros(len(block), dtype=np.intp), ("",))
             which = _matching_rule(rules, labels, time_s)
-            for start, end in _runs(which, labels.codes):
-                key = (int(which[start]), labels.names[labels.codes[start]])
+            pwm = self._pwm_numbers(mapping, block, opened)
+            for start, end in _runs(which, labels.codes, pwm):
+                key = (int(which[start]), labels.names[labels.codes[start]], float(pwm[start]))
                 if opened is not None and opened.key != key:
                     yield opened.close(path, mapping)
                     opened = None
@@ -161,6 +163,15 @@ class Splitter:
                 words = ", ".join(f"{name} {value!r}" for name, value in conditions.items() if value is not None)
                 raise InputError(where, f"segments.{index}", f"no row fits it ({words or 'an earlier one takes all'})")
 
+    @staticmethod
+    def _pwm_numbers(mapping: ImportMapping, block: Block, opened: _Open | None) -> Numbers:
+        """The column of the PWM frequency, a missing number replaced by the one before it; zeros without a column."""
+        if mapping.pwm_frequency is None:
+            return np.zeros(len(block))
+        numbers = _filled_forward(block.numbers[mapping.pwm_frequency.column])
+        before = 0.0 if opened is None else opened.key[2]
+        return np.where(np.isfinite(numbers), numbers, before)
+
     def _leave_out(self, path: Path, row: int, rows: int, label: str) -> None:
         self.leftover.rows += rows
         suffix = f", label {label!r}" if label else ""
@@ -185,15 +196,15 @@ def _matching_rule(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, tim
 
 
 def _filled_forward(time_s: Numbers) -> Numbers:
-    """The time stamps, each missing one replaced by the last before it, so that a later check reports it."""
+    """Numbers, each missing one replaced by the last before it: a later check reports missing time stamps."""
     known = np.where(np.isfinite(time_s), np.arange(time_s.size), 0)
     return time_s[np.maximum.accumulate(known)]
 
 
-def _runs(which: NDArray[np.intp], codes: NDArray[np.intp]) -> list[tuple[int, int]]:
-    """Start and end of each run of rows with one rule and one label."""
+def _runs(which: NDArray[np.intp], codes: NDArray[np.intp], pwm: Numbers) -> list[tuple[int, int]]:
+    """Start and end of each run of rows with one rule, one label and one PWM frequency."""
     if which.size == 0:
         return []
-    ends = np.flatnonzero((np.diff(which) != 0) | (np.diff(codes) != 0)) + 1
+    ends = np.flatnonzero((np.diff(which) != 0) | (np.diff(codes) != 0) | (np.diff(pwm) != 0.0)) + 1
     edges = [0, *ends.tolist(), which.size]
     return list(pairwise(edges))

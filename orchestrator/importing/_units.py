@@ -20,6 +20,7 @@ FACTORS: Mapping[str, float] = MappingProxyType(
         **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86400.0, "iso": 1.0},
         **{"rad": 1.0, "deg": math.pi / 180.0, "turn": 2.0 * math.pi},
         **{"degC": 1.0, "K": 1.0},
+        **{"Hz": 1.0, "kHz": 1e3},
     }
 )
 """Factor from each unit to SI; for duties, to the bus voltage."""

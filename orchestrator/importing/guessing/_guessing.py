@@ -30,6 +30,8 @@ _RATES_HZ = (500.0, 2e6)
 _TIME_UNITS = ("s", "ms", "us", "ns")
 _MAX_CURRENT_A, _MAX_VOLTAGE_V = 2000.0, 5000.0
 """Largest credible readings where neither nameplate nor bus is known; larger ones are in mA and mV."""
+_MIN_PWM_HZ = 500.0
+"""Number below which a PWM frequency is taken for kHz."""
 _MIN_KELVIN = 220.0
 """A temperature above it is in K: the coldest bench, which is warmer than the hottest winding in degC."""
 _MAX_RATED_RATIO, _MAX_BUS_RATIO = 20.0, 5.0
@@ -125,7 +127,8 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: Import
     raw = _read(path, columns, roles, current, voltage)
     _say_time(path, lines, columns, roles, raw)
     _say_drive(path, lines, columns, roles, raw, voltage, drive)
-    if drive is None or drive.pwm_frequency_hz is None:
+    _say_pwm_frequency(lines, roles, raw)
+    if "pwm_frequency" not in roles.one and (drive is None or drive.pwm_frequency_hz is None):
         lines.doubts.append(
             "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too; segments at "
             "another one have `settings: {pwm_frequency_hz: 20000}`"
@@ -180,7 +183,7 @@ def _of_roles(roles: Roles) -> list[str]:
 def _read(path: Path, columns: Columns, roles: Roles, *signals: Signal) -> dict[str, Numbers]:
     """The columns of numbers that have a role, as they are in the file."""
     names = [name for signal in signals for name in signal.columns.values()]
-    names += [roles.one[role] for role in ("bus", "temperature", "angle") if role in roles.one]
+    names += [roles.one[role] for role in ("bus", "temperature", "angle", "pwm_frequency") if role in roles.one]
     layout = CsvLayout() if columns.layout is None else columns.layout.csv
     time = roles.one.get("time")
     if time is not None:
@@ -293,6 +296,17 @@ def _say_signals(
             why += "; the transform is not in the file"
             lines.doubts.append(f"{key}: scaling: amplitude_invariant is the usual one, and not in the file")
         lines.say(key, section, f"by the names; {why}")
+
+
+def _say_pwm_frequency(lines: _Lines, roles: Roles, raw: dict[str, Numbers]) -> None:
+    name = roles.one.get("pwm_frequency")
+    if name is None:
+        return
+    typical = float(np.nanmedian(raw[name]))
+    unit = "kHz" if typical < _MIN_PWM_HZ else "Hz"
+    found = np.unique(raw[name][np.isfinite(raw[name])])
+    why = f"the name; {len(found)} of them" if len(found) > 1 else "the name"
+    lines.say("pwm_frequency", {"column": name, "unit": unit}, f"{why}; about {typical:.3g}, as {unit}")
 
 
 def _say_temperature(lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers]) -> None:

@@ -30,6 +30,7 @@ _ONE: Mapping[str, str] = {
     "time": r"(?:t|time|zeit|timestamp|timestamps|timesec|seconds|xaxis|datetime|date|clock|epoch|tick|ticks)\d*",
     "bus": r"(?:v|u|volt)?(?:dc|bus|dclink|dcbus|zk)(?:v|u|voltage|link|bus|volt|meas|filt)?|(?:v|u)zk",
     "angle": r"(?:theta|angle|rotorangle|epsilon|phi|pos|position|rho|winkel)(?:e|el|elec|electrical|r)?",
+    "pwm_frequency": r"(?:f(?:req|requency)?(?:pwm|sw|switching)|(?:pwm|sw|switching)f(?:req|requency)?)(?:k?hz)?",
     "temperature": r"(?:temp|temperature|tempwinding|tmotor|tmot|windingtemp)(?:c|degc)?",
     "label": r"(?:point|segment|label|what|stage|step|teststep|operatingpoint|test|state|mode|run)(?:id|no|nr)?",
 }
@@ -51,7 +52,7 @@ class Roles:
     current: Signal | None
     voltage: Signal | None
     one: dict[str, str]
-    """time, bus, angle, temperature and label."""
+    """time, bus, angle, PWM frequency, temperature and label."""
 
 
 def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:

@@ -24,6 +24,10 @@ RANKED_ROWS = 6
 """Rows of the table of places."""
 MIN_SHARE_OF_RIVAL = 0.5
 """Part of the error that a row removes, over the first one's, from which a measurement has to tell the two apart."""
+DURATION = (
+    "half a minute to 6 minutes, and a diagnosis before it where there is none; Ctrl-C ends it and writes nothing"
+)
+"""How long a search takes on two cores, and what an interruption leaves."""
 RANKING_NOTES = (
     "place is where a law acts in the motor's equations, over the quantity that it depends on; odd, even or none is "
     "the symmetry of its curve",
@@ -43,6 +47,7 @@ def discover(
 ) -> int:
     """Print the law, its forms and the fall of the error; exit code 0 with or without one."""
     progress = Progress(results=sys.stderr if as_json else sys.stdout)
+    progress.result(DURATION)
     with prompt_interrupt():
         found = api.discover(
             path, write=write, name=name, effects=effects or (), without=without, out=out, tell=progress
@@ -103,10 +108,10 @@ def passed_over(found: Discovery) -> list[str]:
     law, first = found.laws[0], found.ranking[0]
     if (first.place, first.quantity, first.phase) == (law.place, law.quantity, law.phase):
         return []
-    chosen = f"{plain(law.place)} over {plain(law.quantity)}"
+    kept, instead = (_in_words(one) + ("" if one.phase else " in all phases") for one in (law, first))
     return [
-        f"the rows rank curves on a part of the recording. As formulas on the whole of it, {chosen} was kept: "
-        "it leaves less, or as much with fewer constants"
+        f"the rows rank curves on a part of the recording. As formulas on the whole of it, {kept} was kept instead of "
+        f"{instead}: it leaves less, or as much with fewer constants"
     ]
 
 
@@ -160,7 +165,7 @@ def next_steps(path: Path, found: Discovery) -> list[str]:
     return steps
 
 
-def _in_words(one: RankedHypothesis) -> str:
+def _in_words(one: RankedHypothesis | FoundLaw) -> str:
     phase = f" in phase {one.phase}" if one.phase else ""
     return f"{plain(one.place)} over {plain(one.quantity)}{phase}"
 

@@ -86,7 +86,18 @@ def test_a_first_row_that_is_not_the_law_has_its_reason(
     found["result"] = a_discovery(ranking=(ranked.model_copy(update={"quantity": "time"}), ranked))
     assert run_app(["discover", "runs/first"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "As formulas on the whole of it, leg voltage over phase currents was kept: it leaves less" in out
+    kept = "leg voltage over phase currents in all phases was kept instead of leg voltage over time in all phases"
+    assert f"As formulas on the whole of it, {kept}: it leaves less" in out
+
+
+def test_a_law_of_other_phases_than_the_first_row_has_its_reason_too(
+    found: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    ranked = found["result"].ranking[0]
+    found["result"] = a_discovery(ranking=(ranked.model_copy(update={"phase": "a"}),))
+    assert run_app(["discover", "runs/first"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "in all phases was kept instead of leg voltage over phase currents in phase a: it leaves less" in out
 
 
 def test_without_write_it_says_how_to_write(found: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:

@@ -484,3 +484,8 @@ def test_a_suffix_is_a_phase_beside_its_like_and_else_a_unit(names: str, current
 def test_a_unit_in_lower_case_is_of_a_current_or_a_voltage_that_has_an_axis() -> None:
     names = ["i_a", "i_d_a", "v_dc_v", "sector_a", "i_u", "v_u_v"]
     assert [unit for _, unit in names_and_units(names).values()] == [None, "A", "V", None, None, "V"]
+
+
+@pytest.mark.parametrize("name", ["f_pwm", "fsw_kHz", "PWM_freq", "switching_frequency_hz"])
+def test_a_column_of_the_pwm_frequency_is_known_by_its_name(name: str) -> None:
+    assert roles_of(["t", "ia", "ib", "va", "vb", name], {}).one["pwm_frequency"] == name
