@@ -252,6 +252,8 @@ class Explanation(Lenient):
     """What `add` and `remove` have changed in `model.json` since: "+ dead time (does not help)"."""
     to_decide: str = ""
     """The diagnosis' words on what to measure next."""
+    next_steps: tuple[str, ...] = ()
+    """What to do with the map and the model, as the report says it; an indented line is a detail of the one before."""
     notes: tuple[str, ...] = ()
     """What the named effects remark on their sizes, such as which leg to look at."""
 

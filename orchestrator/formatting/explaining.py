@@ -54,17 +54,6 @@ _MEASURE_MEANINGS: Mapping[str, str] = {
     "block_scatter": "%: scatter of the effect's size between parts of the recording; above the limit it is no cause",
     "share": "%: part of the first model's error",
 }
-NEXT_STEPS: Mapping[str, str] = {
-    "clean": "`fluxbench export {run}` and `fluxbench tune {run}` take the map as it is",
-    "explained": "`fluxbench export {run}` and `fluxbench tune {run}` take the map with the effects accounted for",
-    "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map and its error",
-    "mostly_explained": "`fluxbench compare {run}` shows which stages keep an error, and `fluxbench discover {run}` "
-    "looks for its law",
-    "unknown_remains": "`fluxbench discover {run}` looks for the law that is missing",
-    "convention": "mend what the reasons name in the logging or the mapping, and import or measure again",
-    "cannot_tell": "measure again, longer or at larger currents; `fluxbench diagnose` then decides",
-}
-"""What to do next, by verdict; `{run}` is the run."""
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 
