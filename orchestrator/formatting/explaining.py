@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import UNKNOWN, number, percent, probability
+from orchestrator.formatting.quantities import UNKNOWN, number, percent
+from orchestrator.formatting.results import part_words, probability_words
 from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchMeasure
 
@@ -128,9 +129,9 @@ def basis_rows(effects: Sequence[EffectBasis], events: Sequence[SearchEvent] = (
         (
             plain(effect.name),
             percent(None if effect.relative_size is None else 100.0 * effect.relative_size),
-            percent(None if effect.share is None else 100.0 * effect.share),
+            part_words(effect),
             _scored(effect.log_evidence, "log_evidence") + (" (part)" if _is_of_part(effect, events) else ""),
-            probability(effect.probability),
+            probability_words(effect, [other.name for other in effects]),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
             ", ".join(map(str, effect.steps)) or UNKNOWN,
             listed([plain(twin) for twin in effect.twins]) or "nothing",
