@@ -76,9 +76,11 @@ class FoundEffect(Lenient):
     """That typical value on this machine, as the quantity of a drive's data sheet where there is one."""
     log_evidence: Number
     probability: Number = None
-    """Probability that it is present, given all others in the model."""
+    """Probability that it, or one of its twins in its place, is present beside all others in the model."""
     share: Number = None
     """Part of the first model's error, rms; the largest over holds, sweeps, means under injection and ripple."""
+    share_in: str | None = None
+    """Which of these it is of: a kind of stage, or ``ripple``. Files of older versions have none."""
     material: bool | None = None
     """Whether it moves the map or the voltage by more than `Materiality` says."""
 
@@ -233,6 +235,8 @@ class EffectBasis(Lenient):
     probability: Number
     share: Number
     """Share of the first model's error."""
+    share_in: str | None = None
+    """Kind of stage that this share is of, or ``ripple``."""
     material: bool | None
     twins: tuple[str, ...]
     steps: tuple[int, ...]
@@ -252,6 +256,8 @@ class Explanation(Lenient):
     """What `add` and `remove` have changed in `model.json` since: "+ dead time (does not help)"."""
     to_decide: str = ""
     """The diagnosis' words on what to measure next."""
+    next_steps: tuple[str, ...] = ()
+    """What to do with the map and the model, as the report says it; an indented line is a detail of the one before."""
     notes: tuple[str, ...] = ()
     """What the named effects remark on their sizes, such as which leg to look at."""
 

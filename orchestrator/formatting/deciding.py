@@ -1,12 +1,13 @@
-"""What a diagnosis leaves to decide, in the words that the command line prints and that the report advises by."""
+"""What is left to decide after a diagnosis, and what to do with a map, in the words of command line and report."""
 
 from __future__ import annotations
 
 from orchestrator.formatting.quantities import duration, predicted_separation
-from protocols import NextExperiment
+from orchestrator.formatting.sentences import typographic
+from protocols import EstimationReport, NextExperiment, Usability
 
 NOTHING_TO_DECIDE = "nothing left to decide"
-"""The section of a diagnosis after which no measurement is left to make."""
+"""The section of a diagnosis where no measurement is proposed."""
 
 
 def experiment_to_decide(proposal: NextExperiment) -> str:
@@ -14,3 +15,20 @@ def experiment_to_decide(proposal: NextExperiment) -> str:
     first, second = proposal.separates
     stage = f"{proposal.stage['kind']} stage of {duration(60.0 * proposal.minutes)}"
     return f"{stage}, tells {first} from {second}{predicted_separation(proposal)}"
+
+
+def map_advice(report: EstimationReport | None, run: str) -> str:
+    """What to do with a run's map; `run` is the run as a command takes it."""
+    if report is None:
+        return f"none yet: `fluxbench estimate {run}` makes it."
+    if report.usable and "flux_map" in report.files:
+        return (
+            f"use `results/{report.files['flux_map']}`; `fluxbench export {run}` writes it for other tools, "
+            f"`fluxbench tune {run}` computes a drive's references, gains and compensation."
+        )
+    if report.usability is Usability.NOT_JUDGED:
+        return f"not judged: `fluxbench diagnose {run}` decides whether it is usable."
+    why = next((typographic(remark.text) for remark in report.remarks), "none could be made")
+    if report.model is not None and report.estimators is None:  # after `add`, before any estimation
+        return f"that of model.json is not to be relied on: {why}. `fluxbench estimate {run}` makes the estimators’."
+    return f"do not rely on it: {why}."

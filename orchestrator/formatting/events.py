@@ -141,7 +141,7 @@ def _resistance_source(estimate: ResistanceEstimate) -> str:
     """
     if estimate.is_of_model:
         return "of the fitted model at 0 s, before any current warms the winding; the interval is of noise alone"
-    source = f"by the estimators, over the whole run ({resistance_course(estimate)})"
+    source = f"by the estimators, the mean over the whole run ({resistance_course(estimate)})"
     low, high = sorted((estimate.first_ohm, estimate.last_ohm))
     beside = "" if low <= estimate.value_ohm <= high else f"; {SINGLE_READINGS}"
     return f"{source}{beside}; the interval is of noise alone"

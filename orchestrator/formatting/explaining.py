@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import UNKNOWN, number, percent, probability
+from orchestrator.formatting.quantities import UNKNOWN, number, percent
+from orchestrator.formatting.results import part_words, probability_words
 from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchMeasure
 
@@ -54,17 +55,6 @@ _MEASURE_MEANINGS: Mapping[str, str] = {
     "block_scatter": "%: scatter of the effect's size between parts of the recording; above the limit it is no cause",
     "share": "%: part of the first model's error",
 }
-NEXT_STEPS: Mapping[str, str] = {
-    "clean": "`fluxbench export {run}` and `fluxbench tune {run}` take the map as it is",
-    "explained": "`fluxbench export {run}` and `fluxbench tune {run}` take the map with the effects accounted for",
-    "explained_in_another_form": "`fluxbench export {run}` and `fluxbench tune {run}` take the map and its error",
-    "mostly_explained": "`fluxbench compare {run}` shows which stages keep an error, and `fluxbench discover {run}` "
-    "looks for its law",
-    "unknown_remains": "`fluxbench discover {run}` looks for the law that is missing",
-    "convention": "mend what the reasons name in the logging or the mapping, and import or measure again",
-    "cannot_tell": "measure again, longer or at larger currents; `fluxbench diagnose` then decides",
-}
-"""What to do next, by verdict; `{run}` is the run."""
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 
@@ -139,9 +129,9 @@ def basis_rows(effects: Sequence[EffectBasis], events: Sequence[SearchEvent] = (
         (
             plain(effect.name),
             percent(None if effect.relative_size is None else 100.0 * effect.relative_size),
-            percent(None if effect.share is None else 100.0 * effect.share),
+            part_words(effect),
             _scored(effect.log_evidence, "log_evidence") + (" (part)" if _is_of_part(effect, events) else ""),
-            probability(effect.probability),
+            probability_words(effect, [other.name for other in effects]),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
             ", ".join(map(str, effect.steps)) or UNKNOWN,
             listed([plain(twin) for twin in effect.twins]) or "nothing",

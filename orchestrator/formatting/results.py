@@ -34,6 +34,7 @@ from protocols import (
     Remark,
     ResistanceEstimate,
     Rung,
+    SegmentStage,
     Usability,
     UsabilityCheck,
 )
@@ -50,10 +51,20 @@ NOISE_FLOOR_MEANING = (
     "samples as the error beside it."
 )
 PART_MEANING = (
-    "error without it: the rms change of the residual where the effect is left out and R_s and the map alone are "
-    "refitted, over the first model's error; the largest of holds, sweeps, means and ripple under injection, so that "
-    "the parts do not add up to 100 % and `remove`, over all stages, prints another error"
+    "error without it: rms change of the residual where the effect is left out and R_s and the map are refitted, over "
+    "the first model's error; both are of one kind of stage, that in which it is largest. So the parts do not add up "
+    "to 100 %, and `remove`, over all stages, prints another error"
 )
+PROBABILITY_MEANING = (
+    "probability: that the effect acts, given the others of the model; where another one fits as well in its place, "
+    "that either of them does"
+)
+_KINDS = {
+    SegmentStage.RESISTANCE.value: "holds",
+    SegmentStage.CLASSICAL.value: "sweeps",
+    SegmentStage.INJECTION.value: "means under injection",
+}
+"""Kinds of rows of a recording, by the stage; those that are missing have the stage's name."""
 STAND_IN = (
     "probability and material are of these effects if nothing else acts; something unknown does, and may be what they "
     "take up"
@@ -111,7 +122,9 @@ def accuracy_words(report: EstimatorsReport) -> str:
     bands = [check.value for check in report.checks if check.name == "flux_band" and check.value is not None]
     parts = [f"the map ±{percent(bands[0])} of the rated flux (rms over the map)"] if bands else []
     if (known := report.resistance) is not None and known.value_ohm > 0.0:
-        parts.append(f"R_s ±{percent(50.0 * (known.high - known.low) / known.value_ohm)}")
+        drifts = not known.is_of_model and resistance_course(known) != UNCHANGED
+        mean = f", as the mean over its change ({resistance_course(known)})" if drifts else ""
+        parts.append(f"R_s ±{percent(50.0 * (known.high - known.low) / known.value_ohm)}{mean}")
     if not parts:
         return ""
     each = "each " if len(parts) > 1 else ""
@@ -252,12 +265,24 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
         (
             plain(effect.name),
             size_in_words(effect),
-            percent(None if effect.share is None else 100.0 * effect.share),
-            probability(effect.probability),
+            part_words(effect),
+            probability_words(effect, [other.name for other in effects]),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
         )
         for effect in effects
     ]
+
+
+def part_words(effect: FoundEffect | EffectBasis) -> str:
+    """The error without an effect, and the kind of stage that it is largest in: ``162 % (sweeps)``."""
+    text = percent(None if effect.share is None else 100.0 * effect.share)
+    return text if effect.share_in is None else f"{text} ({_KINDS.get(effect.share_in) or plain(effect.share_in)})"
+
+
+def probability_words(effect: FoundEffect | EffectBasis, named: Iterable[str]) -> str:
+    """The probability of an effect; that of the group where others, which are not named, fit as well in its place."""
+    text, others = probability(effect.probability), [name for name in effect.twins if name not in named]
+    return text if text == UNKNOWN or not others else f"{text} (it or {' or '.join(map(plain, others))})"
 
 
 def mutual_twins(effects: Sequence[FoundEffect]) -> dict[str, tuple[str, ...]]:
@@ -291,14 +316,15 @@ def sized_parameter(effect: FoundEffect) -> str | None:
     return min(values, key=lambda name: abs(values[name] - size), default=None)
 
 
-def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
-    """What a part of the error is, and why one is above 100 %."""
+def part_notes(effects: Sequence[FoundEffect | EffectBasis]) -> list[str]:
+    """What a part of the error is, why one is above 100 %, and what a probability is of."""
     parts = [effect.share for effect in effects if effect.share is not None]
     large = (
         "error without it above 100 %: without this effect the model's error would exceed that of the first model, "
         "whose R_s and map compensated a part of it"
     )
-    return [PART_MEANING] * bool(parts) + [large] * any(part >= 1.005 for part in parts)
+    is_stated = any(effect.probability is not None for effect in effects)
+    return [PART_MEANING] * bool(parts) + [large] * any(p >= 1.005 for p in parts) + [PROBABILITY_MEANING] * is_stated
 
 
 def share_notes(report: DiagnosisReport) -> list[str]:

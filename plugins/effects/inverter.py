@@ -296,8 +296,8 @@ class DeviceDrop(BatchEffect):
     name: ClassVar[str] = "device_drop"
     summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
     signature: ClassVar[str] = (
-        "Residual against each phase's current: a step up where the current turns positive, the same at every "
-        "PWM frequency."
+        "Residual against each phase's current: a step up where the current turns positive; another PWM frequency "
+        "leaves it as it is."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)

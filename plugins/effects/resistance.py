@@ -181,14 +181,17 @@ def _warmer_k(signals: Signals) -> Array:
 
 
 class SkinEffect(BatchEffect):
-    """Extra resistance for fast currents: e = R_x (i - i_slow) [V], i_slow behind a first-order lag.
+    """More resistance and less inductance for fast currents: e = R_x (i - i_slow) [V], i_slow behind a first-order lag.
 
-    R_x in ohm, the corner frequency in Hz. It models current displacement in the conductors. In the flexible form
-    `low_share` of it has a corner lower, and the rest one higher, by the factor exp(sqrt(`variance`)).
+    R_x in ohm, the corner frequency w_c / 2 pi in Hz. At the frequency w the resistance is larger by
+    R_x w^2 / (w^2 + w_c^2), and the inductance by R_x w_c / (w^2 + w_c^2), which falls as w rises. It models current
+    displacement in the conductors, and eddy currents in solid parts such as magnets and housing: a shorted turn that
+    couples to the winding has this law. In the flexible form `low_share` of it has a corner lower, and the rest one
+    higher, by the factor exp(sqrt(`variance`)).
     """
 
     name: ClassVar[str] = "skin_effect"
-    summary: ClassVar[str] = "The ripple sees more resistance than the direct current."
+    summary: ClassVar[str] = "The ripple sees more resistance and less inductance than slow currents."
     signature: ClassVar[str] = (
         "Ripple: larger than the model's, in a flux loop that is steeper: the sweep shows more inductance than "
         "the ripple, and the fitted map lies between."

@@ -26,6 +26,8 @@ class Contribution:
     ----------
     relative_to_error : float
         Its rms over that of the first model's error; the largest of holds, sweeps, means under injection, ripple.
+    largest_in : str or None
+        Kind of rows that `relative_to_error` is of: a stage, or ``ripple``; None where the first model has no error.
     relative_to_excitation : float
         Its rms over the rms voltage of the same kind of rows.
     relative_to_flux : float
@@ -33,6 +35,7 @@ class Contribution:
     """
 
     relative_to_error: float
+    largest_in: str | None
     relative_to_excitation: float
     relative_to_flux: float
 
@@ -49,8 +52,11 @@ def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Con
         change = [b - a for a, b in zip(last.volts, without.volts, strict=True)]
         sizes = _by_kind(last, change)
         moved = without.model.magnetics.flux_and_inductance(points)[0] - flux
+        of_error = {kind: sizes[kind] / errors[kind] for kind in sizes if errors[kind] > 0.0}
+        largest_in = max(of_error, key=lambda kind: of_error[kind], default=None)
         found[name] = Contribution(
-            relative_to_error=max((sizes[kind] / errors[kind] for kind in sizes if errors[kind] > 0.0), default=0.0),
+            relative_to_error=0.0 if largest_in is None else of_error[largest_in],
+            largest_in=largest_in,
             relative_to_excitation=max((sizes[kind] / volts[kind] for kind in sizes if volts[kind] > 0.0), default=0.0),
             relative_to_flux=float(np.sqrt(np.mean(np.sum((moved - moved.mean(axis=0)) ** 2, axis=1)))) / rated,
         )

@@ -31,6 +31,7 @@ def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> 
                 log_evidence=effect.log_evidence,
                 probability=effect.probability,
                 share=effect.share,
+                share_in=effect.share_in,
                 material=effect.material,
                 twins=twins[effect.name],
                 steps=tuple(event.step for event in report.search if _supports(event, effect.name)),

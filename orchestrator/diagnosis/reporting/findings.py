@@ -73,6 +73,7 @@ def found_effects(
                 log_evidence=evidence.get(active.name, 0.0),
                 probability=presence[active.name],
                 share=sizes[active.name].relative_to_error if active.name in sizes else None,
+                share_in=sizes[active.name].largest_in if active.name in sizes else None,
                 material=is_material(sizes[active.name], fit) if active.name in sizes else None,
             )
         )

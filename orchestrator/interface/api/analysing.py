@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import inspect
+import shlex
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.formatting.deciding import map_advice
 from orchestrator.interface.api.threads import one_thread
-from orchestrator.recording import has_model, read_model, require_recording
+from orchestrator.recording import MANIFEST_NAME, has_model, has_recording, read_manifest, read_model, require_recording
 from orchestrator.registry.plugins import PLUGIN_NAME, PluginKind, load_effects_file, make_plugins
-from orchestrator.runs import open_any, refuse_file
+from orchestrator.runs import is_run, open_any, refuse_file
 from protocols import (
     AddReport,
     CompareReport,
@@ -21,6 +24,7 @@ from protocols import (
     Estimate,
     EstimationReport,
     Explanation,
+    FluxbenchError,
     FluxMap,
     InputError,
     MotorModel,
@@ -204,7 +208,26 @@ def explain(place: Place) -> Explanation:
         require_recording(path)
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
     explanation = explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
-    return explanation.model_copy(update={"to_decide": diagnosis.words.to_decide})
+    return explanation.model_copy(
+        update={"to_decide": diagnosis.words.to_decide, "next_steps": _next_steps(path, diagnosis)}
+    )
+
+
+def _next_steps(path: Path, diagnosis: SavedDiagnosis) -> tuple[str, ...]:
+    """What to do with the map and the model, as the report says it; of results without their recording, too."""
+    from orchestrator.diagnosis.reporting.advice import advice_on
+    from orchestrator.estimation import load_estimates
+
+    is_here = has_recording(path)
+    run = shlex.quote(str(path)) if is_here else "RECORDING"
+    drive = estimates = None
+    with suppress(FluxbenchError):  # the results alone
+        drive = read_manifest(path / MANIFEST_NAME).drive
+    with suppress(FluxbenchError):  # never estimated
+        estimates = load_estimates(path)
+    advice = advice_on(diagnosis.report, diagnosis.words, drive, run, is_imported=is_here and not is_run(path))
+    details = (f"  {item}" for item in advice.items)
+    return (f"the map: {map_advice(estimates, run)}", f"the model: {advice.text}", *details)
 
 
 @one_thread()

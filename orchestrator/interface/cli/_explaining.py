@@ -7,7 +7,6 @@ from pathlib import Path
 
 from orchestrator.formatting.explaining import (
     BASIS_HEAD,
-    NEXT_STEPS,
     SEARCH_HEAD,
     basis_rows,
     log_evidence_notes,
@@ -22,7 +21,7 @@ from orchestrator.formatting.search_summary import noise_note, search_notes, sea
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from orchestrator.recording import has_recording
-from protocols import Explanation, FluxbenchError
+from protocols import Explanation
 
 
 def explain(path: Path, steps: bool, as_json: bool) -> int:
@@ -68,25 +67,7 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
                 *log_evidence_notes(explanation.effects, search),
             )
         )
-    if explanation.to_decide:
-        say("", f"to decide: {explanation.to_decide}")
-    if has_recording(path):
-        next_step = NEXT_STEPS[explanation.verdict].format(run=run)
-        say(f"next: {(_unusable(path, run) if '`fluxbench tune' in next_step else '') or next_step}")
-    else:
-        next_step = NEXT_STEPS[explanation.verdict].format(run="RECORDING")
-        say(f"next: {next_step}; RECORDING is that of {explanation.recording!r}, {path} has its results alone")
-
-
-def _unusable(path: Path, run: str) -> str:
-    """What to do where the estimates beside a diagnosis have a map that is not usable; empty otherwise."""
-    from orchestrator.estimation import load_estimates
-
-    try:
-        report = load_estimates(path)
-    except FluxbenchError:  # never estimated
-        return ""
-    if report.usable or report.method is None:
-        return ""
-    why = next((remark.text for remark in report.remarks), "a check is not met")
-    return f"do not use the map yet: {why}; `fluxbench estimate {run}` prints each check"
+    if explanation.next_steps:
+        say("", "what to do now:", *(f"  {line}" for line in explanation.next_steps))
+    if not has_recording(path):
+        say(f"RECORDING is that of {explanation.recording!r}; {path} has its results alone")

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from orchestrator.formatting.names import parameter_words
-from orchestrator.formatting.quantities import in_degrees, number, percent, quantity
+from orchestrator.formatting.quantities import in_degrees, plural, quantity
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import AsJson, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import KnownEffects
-    from plugins.commands.mystery._guessing import Effects, GuessedSize, Verdict
+    from plugins.commands.mystery._guessing import Accepted, Effects, Grade, GuessedSize, Verdict
     from protocols import Procedure
 
 HELP_GROUP = "Try and prove"
@@ -29,6 +29,16 @@ FORM_MEANING = (
     "* of the simulated motor's own formula. The library's formulas are written independently: of another curve the "
     "best value is another, and may lie outside the diagnosis' interval."
 )
+GRADES: Mapping[Grade, str] = {
+    "close": "is right within 10 %",
+    "too_small": "is too small, by less than half",
+    "too_large": "is too large, by less than twice",
+    "less_than_half": "is less than half of the true one",
+    "more_than_double": "is more than twice the true one",
+    "wrong_sign": "is of the wrong sign",
+    "of_one_angle": "belongs to this angle alone, and is not graded",
+}
+"""Sentence on a guessed size; none tells the true one."""
 TOO_SMALL = "hidden, but too small, or too similar to the others, for this recording; no name is missing for it"
 BY_ALIGNMENT = "the run itself caused it, as its alignment left the rotor at an angle"
 PERCENT: float = 100.0
@@ -58,10 +68,10 @@ def mystery(
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
     from plugins.commands.mystery._guessing import (
-        accepted_before,
         caused_effects,
+        earlier_guesses,
         judge,
-        keep_accepted,
+        keep_guess,
         read_guess,
         sealed_effects,
     )
@@ -81,26 +91,26 @@ def mystery(
         again = f"`fluxbench mystery {number}{'' if out is None else f' --out {path}'}` measures it"
         raise InputError(str(path), "", f"{here}{where} {again}")
     _refuse_unfinished(path)
-    verdict = None
+    verdict = guesses_so_far = None
     if guess is not None:
         sealed, caused = sealed_effects(path), caused_effects(path)
         guesses, known = read_guess(guess), _known(path, {**sealed, **caused})
         verdict = judge(
             guesses,
             sealed,
-            _fitted(path),
             caused,
             lambda guessed, name: known.fits_as_well(name, guessed),
             known.shows,
-            accepted_before(path),
+            earlier_guesses(path).covered,
         )
-        keep_accepted(path, verdict)
+        guesses_so_far = keep_guess(path, verdict)
     hidden = sealed_effects(path) if reveal else None
     if as_json:
-        _print_json(path, verdict, hidden)
+        _print_json(path, verdict, guesses_so_far, hidden)
         return 0
-    if verdict is not None:
+    if verdict is not None and guesses_so_far is not None:
         _print_verdict(verdict)
+        _print_line(_count(guesses_so_far))
     if hidden is not None:
         _print_hidden(hidden)
         for name, parameters in caused_effects(path).items():
@@ -144,7 +154,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
-        _print_line("A size may follow a name (NAME=800mV, NAME=30%, or a number in SI).")
+        _print_line("Each guess is counted. A size may follow a name (NAME=800mV, NAME=30%, or a number in SI).")
         _print_line("See whether the error falls with your guess in the model; the report then shows before and after:")
         _print_line(f"  fluxbench add {path} NAME")
         _print_line("What the diagnosis finds, which gives most of it away; --reveal prints what is hidden:")
@@ -225,6 +235,12 @@ def _print_verdict(verdict: Verdict) -> None:
         _print_line(hidden if is_part or verdict.wrong or verdict.caused else f"nothing: wrong; {hidden}")
 
 
+def _count(so_far: Accepted) -> str:
+    """How many guesses it took until now, and what was wrong in them."""
+    wrong = plural(so_far.wrong_names, "wrong name") if so_far.wrong_names else "no wrong name"
+    return f"Guess {so_far.guesses}; {wrong} so far."
+
+
 def _complete(verdict: Verdict) -> str:
     is_shown = "that this recording shows" if verdict.too_small else "there is"
     if verdict.right or verdict.as_good or verdict.before:
@@ -233,11 +249,7 @@ def _complete(verdict: Verdict) -> str:
 
 
 def _graded(size: GuessedSize) -> str:
-    if not size.is_given:
-        return f"no size was given, and none is graded; the run's model has {_size(size)}"
-    if size.is_of_one_angle:
-        return f"{_size(size)} belongs to this angle alone, and is not graded"
-    return f"{_size(size)} is {_error(size.ratio)}{_in_percent(size)}"
+    return f"{_in_words(size.name, size.parameter, size.guessed)} {GRADES[size.grade]}{_in_percent(size)}"
 
 
 def _in_percent(size: GuessedSize) -> str:
@@ -246,10 +258,6 @@ def _in_percent(size: GuessedSize) -> str:
     if not PERCENT / 2.0 < ratio < 2.0 * PERCENT or not unit.startswith("1"):
         return ""
     return f"; a number alone is in SI, here {unit}: for per cent write {size.name}={size.guessed:g}%"
-
-
-def _size(size: GuessedSize) -> str:
-    return _in_words(size.name, size.parameter, size.guessed)
 
 
 def _sizes_in_words(effect: str, parameters: Mapping[str, float]) -> str:
@@ -269,16 +277,6 @@ def _unit(effect: str, parameter: str) -> str:
     return next((one.unit for one in declared if one.name == parameter), "1")
 
 
-def _error(ratio: float | None) -> str:
-    if ratio is None or ratio <= 0.0:
-        return "of the wrong sign"
-    if abs(ratio - 1.0) < 0.0005:
-        return "right to three digits"
-    if 0.5 <= ratio <= 2.0:
-        return f"{percent(100.0 * abs(ratio - 1.0))} too {'large' if ratio > 1.0 else 'small'}"
-    return f"{number(max(ratio, 1.0 / ratio), 3)} times too {'large' if ratio > 1.0 else 'small'}"
-
-
 def _known(path: Path, true: Effects) -> KnownEffects:
     """What the recording tells of the effects that are in it; nothing is computed yet."""
     from orchestrator.diagnosis import KnownEffects
@@ -286,17 +284,6 @@ def _known(path: Path, true: Effects) -> KnownEffects:
     from orchestrator.recording import open_recording
 
     return KnownEffects(open_recording(path), true, chosen_effects())
-
-
-def _fitted(path: Path) -> dict[str, dict[str, float]]:
-    """Parameters of the recording's model, where it has one."""
-    from orchestrator.recording import has_model, read_model
-
-    effects = read_model(path).effects if has_model(path) else ()
-    return {
-        effect.name: {name: parameter.value for name, parameter in effect.parameters.items() if parameter.fitted}
-        for effect in effects
-    }
 
 
 def _print_hidden(hidden: Effects) -> None:
@@ -314,12 +301,15 @@ def _print_hidden(hidden: Effects) -> None:
         _print_line(FORM_MEANING)
 
 
-def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:
+def _print_json(
+    path: Path, verdict: Verdict | None = None, guesses: Accepted | None = None, hidden: Effects | None = None
+) -> None:
     import json
 
     content: dict[str, Any] = {"run": str(path)}
     if verdict is not None:
-        content["guess"] = {**verdict.model_dump(mode="json"), "complete": verdict.complete}
+        counted = {} if guesses is None else {"guesses": guesses.guesses, "wrong_names": guesses.wrong_names}
+        content["guess"] = {**verdict.model_dump(mode="json"), "complete": verdict.complete, **counted}
     if hidden is not None:
         content["hidden"] = hidden
     print(visible(json.dumps(content, indent=2)))

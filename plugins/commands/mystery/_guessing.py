@@ -23,6 +23,8 @@ from protocols import Contrast, InputError, ParameterRole, Strict
 
 NOTHING = "nothing"
 ACCEPTED_NAME = "accepted.json"
+CLOSE: float = 0.1
+"""Relative difference up to which a guessed size is right."""
 MAX_GUESSES: int = max(HOW_MANY) + 1
 """Names in one guess: those that may be hidden, and one that the run itself may cause."""
 _POWER = re.compile("·10([⁻⁰¹²³⁴-⁹]+)")
@@ -38,18 +40,19 @@ class Guess(Strict):
     size: float | None = None
 
 
+Grade = Literal["close", "too_small", "too_large", "less_than_half", "more_than_double", "wrong_sign", "of_one_angle"]
+"""How a guessed size stands to the true one; ``of_one_angle`` is not graded, as the true ones are of a whole turn."""
+
+
 class GuessedSize(Strict):
-    """A guessed size and its ratio to the true one."""
+    """A guessed size and how it stands to the true one, which it does not tell."""
 
     name: str
     parameter: str
     guessed: float
-    is_given: bool
-    """Whether the guess gave it; else it is the size in the recording's model."""
-    ratio: float | None
-    """Guessed over true; None where it was not given, where the true one is zero, or `is_of_one_angle`."""
-    is_of_one_angle: bool = False
-    """Whether size and sign belong to the angle at which the rotor was locked: the true ones are of a whole turn."""
+    grade: Grade
+    ratio: float | None = Field(exclude=True, repr=False)
+    """Guessed over true, never shown; None where that is not graded."""
 
 
 class Verdict(Strict):
@@ -158,16 +161,18 @@ def caused_effects(run: Path) -> Effects:
 
 
 class Accepted(Strict):
-    """The accepted guesses of a mystery, a file beside its truth."""
+    """The guesses at a mystery so far, a file beside its truth."""
 
     format: Literal["fluxbench-accepted-guesses"] = "fluxbench-accepted-guesses"
     version: Literal[1] = 1
     covered: dict[str, str] = Field(default_factory=dict)
     """By the hidden effect: the name that was accepted for it."""
+    guesses: int = 0
+    wrong_names: int = 0
 
 
-def accepted_before(run: Path) -> dict[str, str]:
-    """By the hidden effect, the name that an earlier guess had right; empty before the first one.
+def earlier_guesses(run: Path) -> Accepted:
+    """What earlier guesses had right, and their count.
 
     Raises
     ------
@@ -175,21 +180,24 @@ def accepted_before(run: Path) -> dict[str, str]:
         Where the file of them is damaged.
     """
     path = private_directory(run.resolve()) / ACCEPTED_NAME
-    return read_json(path, Accepted).covered if path.is_file() else {}
+    return read_json(path, Accepted) if path.is_file() else Accepted()
 
 
-def keep_accepted(run: Path, verdict: Verdict) -> None:
-    """Keep what a guess had right, so that the next one need not repeat it; raises `StorageError`."""
-    before = accepted_before(run)
-    covered = {**before, **verdict.covered}
-    if covered != before:
-        write_json(private_directory(run.resolve()) / ACCEPTED_NAME, Accepted(covered=covered))
+def keep_guess(run: Path, verdict: Verdict) -> Accepted:
+    """Count a guess, and keep what it had right, so that the next one need not repeat it; raises `StorageError`."""
+    before = earlier_guesses(run)
+    kept = Accepted(
+        covered={**before.covered, **verdict.covered},
+        guesses=before.guesses + 1,
+        wrong_names=before.wrong_names + len(verdict.wrong),
+    )
+    write_json(private_directory(run.resolve()) / ACCEPTED_NAME, kept)
+    return kept
 
 
 def judge(
     guesses: Iterable[Guess],
     hidden: Effects,
-    fitted: Effects,
     extra: Effects | None = None,
     fits_as_well: Callable[[str, str], bool] = lambda guessed, hidden: False,
     shows: Callable[[str], bool] = lambda hidden: True,
@@ -199,8 +207,6 @@ def judge(
 
     Parameters
     ----------
-    fitted : mapping
-        Parameters of the recording's model: stated beside guesses without a size.
     extra : mapping, optional
         Effects that the run itself caused (`caused_effects`): not wrong where they are guessed, and not missing where
         they are not.
@@ -209,7 +215,7 @@ def judge(
     shows : callable
         Whether the recording shows a hidden effect beside the others, by its name.
     before : mapping, optional
-        What earlier guesses had right (`accepted_before`): not missing where names are guessed.
+        What earlier guesses had right (`earlier_guesses`): not missing where names are guessed.
     """
     guesses = tuple(guesses)
     true = {**hidden, **(extra or {})}
@@ -226,7 +232,7 @@ def judge(
     known = {name: guessed for name, guessed in (before or {}).items() if guesses and name in missing}
     missing = [name for name in missing if name not in known]
     shown = [name for name in missing if shows(name)]
-    sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
+    sizes = (_size(guess, true[guess.name]) for guess in guesses if guess.name in true)
     return Verdict(
         right=right,
         as_good=tuple(as_good),
@@ -240,23 +246,26 @@ def judge(
     )
 
 
-def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) -> GuessedSize | None:
-    """Size of a guess, by the first parameter or the larger one of two phases."""
-    parameter = max(_of_phases(true), key=lambda name: abs(true[name]), default=next(iter(true)))
-    guessed = guess.size if guess.size is not None else fitted.get(parameter)
-    if guessed is None:
+def _size(guess: Guess, true: Mapping[str, float]) -> GuessedSize | None:
+    """Size of a guess, by the first parameter or the larger one of two phases; None where none was given."""
+    if guess.size is None:
         return None
-    is_of_one_angle = _is_of_one_angle(guess.name, true)
-    # A grade of the model's own size would tell what nobody guessed.
-    is_graded = guess.size is not None and bool(true[parameter]) and not is_of_one_angle
-    return GuessedSize(
-        name=guess.name,
-        parameter=parameter,
-        guessed=guessed,
-        is_given=guess.size is not None,
-        ratio=guessed / true[parameter] if is_graded else None,
-        is_of_one_angle=is_of_one_angle,
-    )
+    parameter = max(_of_phases(true), key=lambda name: abs(true[name]), default=next(iter(true)))
+    is_graded = bool(true[parameter]) and not _is_of_one_angle(guess.name, true)
+    ratio = guess.size / true[parameter] if is_graded else None
+    return GuessedSize(name=guess.name, parameter=parameter, guessed=guess.size, grade=_grade(ratio), ratio=ratio)
+
+
+def _grade(ratio: float | None) -> Grade:
+    if ratio is None:
+        return "of_one_angle"
+    if ratio <= 0.0:
+        return "wrong_sign"
+    if abs(ratio - 1.0) <= CLOSE:
+        return "close"
+    if ratio < 1.0:
+        return "less_than_half" if ratio < 0.5 else "too_small"
+    return "more_than_double" if ratio > 2.0 else "too_large"
 
 
 def _is_of_one_angle(name: str, true: Mapping[str, float]) -> bool:

@@ -135,7 +135,8 @@ class Progress:
     def _finish_point(self, message: PointDone) -> None:
         self.points_done, self.points = message.points_done, message.points
         self.left_s = message.seconds_left
-        self.achieved = (message.achieved_d_a, message.achieved_q_a)
+        # Without a set-point, as with the gates off, the readings are the sensors' offsets and no current.
+        self.achieved = None if self.target is None else (message.achieved_d_a, message.achieved_q_a)
         if self._point_begun_s is not None:
             self.measuring_s += self.clock() - self._point_begun_s
             self.drive_s += self._point_s

@@ -12,7 +12,7 @@ import numpy as np
 
 from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, map_source, symbol_of
-from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
+from orchestrator.formatting.quantities import duration, fixed, number, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.numerics.tables import cubic_value_at
@@ -267,9 +267,21 @@ def map_rows(grid: FluxMap, motor: Motor | None) -> list[list[str]]:
         for i_q in (-size, 0.0, size):
             point = [fixed(i_d, 2), fixed(i_q, 2)]
             row = point + [_with_error(grid, name, i_d, i_q) for name in MAP_QUANTITIES]
+            if i_d == i_q == 0.0 and motor is not None and motor.pm_flux_wb is not None:
+                row[len(point)] = f"{number(1e3 * motor.pm_flux_wb)} (nameplate)"
             if row not in rows:
                 rows.append(row)
     return rows
+
+
+def magnet_note(motor: Motor | None) -> str:
+    """Where the flux of a map at zero current comes from, which a locked rotor does not show."""
+    if motor is None or motor.pm_flux_wb is None:
+        return "Every flux is counted from zero current: no magnet flux was given, and a locked rotor does not show it"
+    return (
+        "ψ(0, 0) is the nameplate's magnet flux, not measured: a locked rotor does not show it. An error of it is in "
+        "every ψ_d; ± is of what was measured, ψ − ψ(0, 0)"
+    )
 
 
 def provenance(material: Material) -> Iterator[tuple[str, str]]:

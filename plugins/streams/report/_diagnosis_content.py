@@ -114,7 +114,7 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
         bound = joint_bound(entry)
         size = f"{bound} (95 %) beside what was added; " if bound else ""
         sigmas = f"{number(abs(entry.z or 0.0), 3)} standard deviations from zero with all effects fitted at once"
-        rows.append((plain(entry.name), "–", f"not needed: {size}{sigmas}, but adding it improves the fit too little"))
+        rows.append((plain(entry.name), "–", f"not added: {size}{sigmas}, but {_too_little(diagnosis, entry.name)}"))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
         rows.append((plain(effect.name), "–", reason))
@@ -122,6 +122,20 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     if traces := trace_words(diagnosis.report.model_copy(update={"traces": rest})):
         rows.append((", ".join(traces), "–", "detected, but too small to be named"))
     return rows
+
+
+def _too_little(diagnosis: SavedDiagnosis, name: str) -> str:
+    """Why an effect that the joint fit detects was not added: the last gain that the search found, and what is needed.
+
+    The search needs more than the joint fit, as the best of many absent effects is large by chance.
+    """
+    screens = [e for e in diagnosis.report.search if e.move == "screen" and e.data == "whole" and name in e.effects]
+    last = screens[-1] if screens else None
+    if last is None or last.score is None or last.threshold is None:
+        return "adding it improves the fit too little"
+    gain, needed = number(last.score, 3), number(last.threshold, 3)
+    chance = "the best of all absent effects lowers it by nearly that much by chance"
+    return f"adding it lowers the summed χ² by {gain}, and {needed} are needed (step {last.step}), as {chance}"
 
 
 def leftover_text(diagnosis: SavedDiagnosis) -> str:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from orchestrator.flux_maps.exporting import mtpa, saliency
-from orchestrator.formatting.quantities import fixed, number, quantity, vector
+from orchestrator.formatting.quantities import fixed, number, percent, quantity, vector
 from orchestrator.formatting.results import UNCHANGED, resistance, resistance_course
 from orchestrator.numerics.tables import cubic_value_at
 from plugins.streams.report._collect import Material
@@ -145,7 +145,9 @@ def _torque(grid: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
     where = vector(float(best.i_dq[0, 0]), float(best.i_dq[0, 1]))
     edge = "" if best.interior[0] else "; the best lies at the edge of what was measured"
     stated = "" if motor.rated_torque_nm is None else f"; nameplate {quantity(motor.rated_torque_nm, 'Nm', 3)}"
-    yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}")
+    magnet_nm = 1.5 * motor.pole_pairs * motor.pm_flux_wb * float(best.i_dq[0, 1])
+    rests = f"; {percent(100.0 * magnet_nm / torque, 3)} of it is 3/2 p ψ_M i_q with the nameplate's ψ_M, not measured"
+    yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}{rests}")
 
 
 def torque_rows(grid: FluxMap, motor: Motor) -> list[tuple[str, ...]]:

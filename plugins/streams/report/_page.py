@@ -112,6 +112,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [Picture("Pictures", stopped)],
         quantities=list(MAP_QUANTITIES.values()),
+        magnet_note=content.magnet_note(motor),
         map_method=map_source(main.method).capitalize() if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
         provenance=list(content.provenance(material)),
@@ -240,7 +241,8 @@ def _estimated_pictures(material: Material, main: FluxMap | None) -> Iterator[Pi
 
 def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
     """What follows from the map, over the current plane."""
-    if motor is not None and motor.pm_flux_wb is not None:
+    has_magnet = motor is not None and motor.pm_flux_wb is not None
+    if motor is not None and has_magnet:
         best: list[Trajectory | None] = []
         for trajectory in (mtpa, mtpv):
             try:
@@ -250,9 +252,11 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
         lines = zip(best, ("per ampere (MTPA)", "per volt (MTPV)"), strict=True)
         drawn = [words for line, words in lines if line is not None and line.interior.any()]
         text = f"In Nm, with the largest torque {listed(drawn)}, as far as measured." if drawn else "In Nm."
+        text = f"{text} The magnet's flux in it is the nameplate's."
         yield Picture("Torque", text, figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
     for axis in ("d", "q"):
-        yield Picture(f"ψ_{axis} over the current plane", "In mWb.", figures.flux_plane_figure(main, axis))
+        at_rest = " ψ(0, 0) is the nameplate's magnet flux." if axis == "d" and has_magnet else ""
+        yield Picture(f"ψ_{axis} over the current plane", f"In mWb.{at_rest}", figures.flux_plane_figure(main, axis))
     if np.isfinite(main.l_dd * main.l_qq * main.l_dq).any():
         text = "Electrical degrees from the d axis to that of least inductance: what a tracking by injection is off by."
         yield Picture("Saliency angle", text, figures.saliency_figure(main))

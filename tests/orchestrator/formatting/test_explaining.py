@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.formatting.explaining import (
-    NEXT_STEPS,
     accuracy_sentences,
     basis_rows,
     log_evidence_notes,
@@ -13,7 +12,6 @@ from orchestrator.formatting.explaining import (
     search_lines,
     search_rows,
 )
-from orchestrator.formatting.names import VERDICTS
 from protocols import EffectBasis, Reason, SearchEvent
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
@@ -72,10 +70,6 @@ def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:
     assert accuracy_sentences(a_diagnosis()) == []
     (flux,) = accuracy_sentences(a_diagnosis(verdict="unknown_remains", map_error_percent=0.12))
     assert flux.startswith("If the model is right, ")
-
-
-def test_each_verdict_has_a_next_step() -> None:
-    assert NEXT_STEPS.keys() == VERDICTS.keys()
 
 
 def test_a_value_beside_two_limits_is_one_sentence() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from orchestrator.formatting.results import (
     PART_MEANING,
+    PROBABILITY_MEANING,
     STAND_IN,
     benefit_line,
     has_other_chi2,
@@ -15,8 +16,10 @@ from orchestrator.formatting.results import (
     ladder_rows,
     mutual_twins,
     parameter_rows,
+    part_notes,
     resistance_course,
     share_notes,
+    share_rows,
     size_in_words,
     trace_words,
 )
@@ -155,6 +158,15 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     for whole in (0.9, 1.004):  # the second is written as 100 %
         report = report.model_copy(update={"effects": (effect(share=whole, material=True),)})
         assert share_notes(report) == [PART_MEANING]
+
+
+def test_the_error_without_an_effect_names_the_kind_of_stage_and_a_twin_shares_the_probability() -> None:
+    drop = effect(name="device_drop", share=1.62, share_in="classical", probability=0.9999, twins=("dead_time",))
+    (row,) = share_rows([drop])
+    assert row[2:4] == ("162 % (sweeps)", "> 99.9 % (it or dead time)")
+    assert PROBABILITY_MEANING in part_notes([drop])
+    both = share_rows([drop, effect(share=0.5, probability=0.98)])  # each is there beside the other
+    assert [row[2:4] for row in both] == [("162 % (sweeps)", "> 99.9 %"), ("50 %", "98.0 %")]
 
 
 def test_effects_beside_something_unknown_may_stand_in_for_it() -> None:

@@ -23,6 +23,7 @@ from plugins.streams.report._content import (
     events,
     formulas,
     is_estimated,
+    magnet_note,
     map_rows,
     remarks,
     why_no_check,
@@ -44,6 +45,7 @@ from protocols import (
     DeliveredModel,
     MapChecks,
     MapReport,
+    Motor,
     NoOptions,
     RecordingError,
     Remark,
@@ -396,6 +398,14 @@ def test_tables_give_as_many_digits_as_the_uncertainty_bears() -> None:
     rows = map_rows(a_map("injection"), None)
     assert ["0.00", "0.00", "300.0 ± 0.8", "0.0 ± 0.8", "43.0 ± 0.8", "0.0 ± 0.8", "69.0 ± 0.8"] in rows
     assert ["−3.00", "−3.00", *["not measured"] * 5] in rows
+
+
+def test_the_flux_at_zero_current_is_the_nameplate_s_and_has_no_interval() -> None:
+    motor = Motor(name="m", pole_pairs=2, pm_flux_wb=0.3)
+    rows = map_rows(a_map("injection"), motor)
+    assert ["0.00", "0.00", "300 (nameplate)", "0.0 ± 0.8", "43.0 ± 0.8", "0.0 ± 0.8", "69.0 ± 0.8"] in rows
+    assert "not measured: a locked rotor does not show it" in magnet_note(motor)
+    assert "no magnet flux was given" in magnet_note(motor.model_copy(update={"pm_flux_wb": None}))
 
 
 def test_one_colour_means_one_held_current_in_both_pictures() -> None:

@@ -8,11 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from orchestrator.diagnosis import judge, save_diagnosis
+from orchestrator.diagnosis import SavedDiagnosis, judge, save_diagnosis
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
+from orchestrator.formatting.sentences import typographic
 from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
-from protocols import DiagnosisReport, Remark
+from plugins.streams.report._collect import Material, Paths
+from plugins.streams.report._next_steps import next_steps
+from protocols import DiagnosisReport, Remark, Usability
 from tests.orchestrator.diagnosis.judgement.test_judge import a_record
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 
@@ -59,20 +62,29 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
     assert "screen: the fall of chi2 that each absent effect promises" in out
     assert "above 100 %" not in out
-    assert f"to decide: {WORDS.to_decide}" in out
-    assert out.splitlines()[-1].startswith(f"next: `fluxbench export {diagnosed}`")
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
+
+
+def test_what_to_do_now_is_what_the_report_says(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved = SavedDiagnosis(a_report(), WORDS, ())
+    lines = next_steps(Material(diagnosed, None, None, (), None, {}, Paths(), saved, ()))
+    assert run_app(["explain", str(diagnosed)]) == 0
+    said = capsys.readouterr().out.partition("what to do now:\n")[2].replace(str(diagnosed), diagnosed.name)
+    assert said == "".join(f"  {line.label.lower()}: {line.text}\n" for line in lines)
 
 
 def test_a_map_that_is_not_usable_is_not_advised_to_be_tuned_with(
     diagnosed: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     why = Remark(code="uncertain_map", text="the model's map is uncertain")
-    poor = SimpleNamespace(usable=False, method="model", remarks=(why,))
+    poor = SimpleNamespace(
+        usable=False, usability=Usability.NOT_USABLE, model=None, estimators=None, method="model", remarks=(why,)
+    )
     monkeypatch.setattr("orchestrator.estimation.load_estimates", lambda _: poor)
     assert run_app(["explain", str(diagnosed)]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith("next: do not use the map yet: the model's map is uncertain; `fluxbench estimate")
+    out = capsys.readouterr().out
+    assert "the map: do not rely on it: the model's map is uncertain." in typographic(out).replace("’", "'")
+    assert "`fluxbench tune" not in out
 
 
 def test_what_the_whole_recording_separates_is_said_beside_the_evidence(
@@ -102,7 +114,7 @@ def test_what_an_effect_remarks_is_told_and_a_folder_of_results_names_the_record
     assert run_app(["explain", str(diagnosed)]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert "note: dead_time: leg b's is 33 % longer" in out
-    assert "next: `fluxbench export RECORDING` and" in out
+    assert "the map: none yet: `fluxbench estimate RECORDING` makes it" in out
     assert f"RECORDING is that of {a_report().recording!r}" in out
 
 

@@ -70,42 +70,55 @@ def test_no_words_are_read_as_a_name_that_there_is_not(words: str) -> None:
 
 
 def test_a_complete_guess_is_complete() -> None:
-    verdict = judge(read_guess("current_offset,dead_time"), HIDDEN, {})
+    verdict = judge(read_guess("current_offset,dead_time"), HIDDEN)
     assert verdict.complete
     assert verdict.sizes == ()
 
 
 def test_a_wrong_name_is_wrong_and_what_is_missing_is_counted_not_named() -> None:
-    verdict = judge(read_guess("dead_time,hysteresis"), HIDDEN, {})
+    verdict = judge(read_guess("dead_time,hysteresis"), HIDDEN)
     assert (verdict.right, verdict.wrong, verdict.still_hidden) == (("dead_time",), ("hysteresis",), 1)
     assert not verdict.complete
     assert "current_offset" not in verdict.model_dump_json()
 
 
 def test_nothing_is_right_where_nothing_is_hidden() -> None:
-    assert judge((), {}, {}).complete
-    assert not judge((), HIDDEN, {}).complete
+    assert judge((), {}).complete
+    assert not judge((), HIDDEN).complete
 
 
 def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> None:
-    verdict = judge(read_guess("dead_time=1,current_offset=-0.03"), HIDDEN, {})
+    verdict = judge(read_guess("dead_time=1,current_offset=-0.03"), HIDDEN)
     assert [(size.parameter, size.ratio) for size in verdict.sizes] == [("voltage_v", 0.5), ("offset_b_a", 1.0)]
 
 
-def test_a_size_that_was_not_given_is_the_models_and_is_not_graded() -> None:
-    (size,) = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}}).sizes
-    assert (size.guessed, size.is_given, size.ratio) == (2.2, False, None)
+@pytest.mark.parametrize(
+    ("guess", "grade"),
+    [
+        ("dead_time=2.1", "close"),
+        ("dead_time=1.2", "too_small"),
+        ("dead_time=2.9", "too_large"),
+        ("dead_time=0.9", "less_than_half"),
+        ("dead_time=40", "more_than_double"),
+        ("dead_time=-2", "wrong_sign"),
+    ],
+)
+def test_the_grade_of_a_size_does_not_tell_the_true_one(guess: str, grade: str) -> None:
+    verdict = judge(read_guess(guess), HIDDEN)
+    assert verdict.sizes[0].grade == grade
+    assert "ratio" not in verdict.model_dump_json()
+    assert "ratio" not in repr(verdict)
 
 
 def test_what_fits_as_well_in_a_hidden_effects_place_counts_as_right() -> None:
     def is_drop(guessed: str, hidden: str) -> bool:
         return (guessed, hidden) == ("device_drop", "dead_time")
 
-    verdict = judge(read_guess("device_drop,current_offset"), HIDDEN, {}, None, is_drop)
+    verdict = judge(read_guess("device_drop,current_offset"), HIDDEN, None, is_drop)
     assert (verdict.right, verdict.as_good, verdict.wrong) == (("current_offset",), ("device_drop",), ())
     assert verdict.complete
     # Beside the hidden one itself it is one too many.
-    assert judge(read_guess("device_drop,dead_time"), HIDDEN, {}, None, is_drop).wrong == ("device_drop",)
+    assert judge(read_guess("device_drop,dead_time"), HIDDEN, None, is_drop).wrong == ("device_drop",)
 
 
 def test_nothing_stands_alone() -> None:
@@ -115,17 +128,17 @@ def test_nothing_stands_alone() -> None:
 
 def test_an_angle_that_the_run_caused_is_neither_one_of_the_hidden_nor_missing() -> None:
     brought = {"rotor_misalignment": {"angle_rad": 0.02}}
-    named = judge(read_guess("dead_time,current_offset,rotor_misalignment=0.03"), HIDDEN, {}, brought)
+    named = judge(read_guess("dead_time,current_offset,rotor_misalignment=0.03"), HIDDEN, brought)
     assert named.complete
     assert (named.right, named.caused) == (("dead_time", "current_offset"), ("rotor_misalignment",))
     assert named.sizes[-1].ratio == pytest.approx(1.5)
-    assert judge(read_guess("dead_time,current_offset"), HIDDEN, {}, brought).complete
-    assert judge(read_guess("rotor_misalignment"), HIDDEN, {}).wrong == ("rotor_misalignment",)
+    assert judge(read_guess("dead_time,current_offset"), HIDDEN, brought).complete
+    assert judge(read_guess("rotor_misalignment"), HIDDEN).wrong == ("rotor_misalignment",)
 
 
 def test_what_the_recording_does_not_show_is_not_missing() -> None:
     guess = read_guess("dead_time")
-    verdict = judge(guess, HIDDEN, {}, shows=lambda name: name != "current_offset")
+    verdict = judge(guess, HIDDEN, shows=lambda name: name != "current_offset")
     assert verdict.complete
     assert (verdict.still_hidden, verdict.too_small) == (0, 1)
 
@@ -138,7 +151,7 @@ def test_a_list_of_the_library_is_no_guess() -> None:
 
 def test_a_misalignment_is_judged_by_the_angle_that_came_of_it() -> None:
     hidden = {"rotor_misalignment": {"angle_rad": 0.05}}
-    verdict = judge(read_guess("rotor_misalignment=0.06"), hidden, {}, {"rotor_misalignment": {"angle_rad": 0.06}})
+    verdict = judge(read_guess("rotor_misalignment=0.06"), hidden, {"rotor_misalignment": {"angle_rad": 0.06}})
     assert verdict.sizes[0].ratio == pytest.approx(1.0)
 
 
@@ -146,11 +159,11 @@ def test_what_an_earlier_guess_had_right_is_not_missing_and_an_equal_names_no_hi
     def is_drop(guessed: str, hidden: str) -> bool:
         return (guessed, hidden) == ("device_drop", "dead_time")
 
-    first = judge(read_guess("device_drop"), HIDDEN, {}, None, is_drop)
+    first = judge(read_guess("device_drop"), HIDDEN, None, is_drop)
     assert (first.still_hidden, first.covered) == (1, {"dead_time": "device_drop"})
     assert "dead_time" not in first.model_dump_json()
     assert "dead_time" not in repr(first)
-    then = judge(read_guess("current_offset"), HIDDEN, {}, None, is_drop, before=first.covered)
+    then = judge(read_guess("current_offset"), HIDDEN, None, is_drop, before=first.covered)
     assert then.complete
     assert then.before == ("device_drop",)
-    assert not judge(read_guess("nothing"), HIDDEN, {}, before=first.covered).complete
+    assert not judge(read_guess("nothing"), HIDDEN, before=first.covered).complete

@@ -197,7 +197,7 @@ def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
         (
             "bus sag",
             "–",
-            "not needed: 5.1 standard deviations from zero with all effects fitted at once, but adding it improves the "
+            "not added: 5.1 standard deviations from zero with all effects fitted at once, but adding it improves the "
             "fit too little",
         ),
         ("skin effect", "–", "detected, but too small to be named"),
@@ -208,7 +208,14 @@ def test_what_was_not_added_is_stated_with_the_most_that_it_may_be() -> None:
     size = {"value": 0.00093, "low": 0.00055, "high": 0.00131, "unit": "V"}
     entry = {"name": "device_drop", "relative_size": 0.001, "z": 4.8, "parameter": "voltage_v", "size": size}
     ((_, _, how),) = findings.alike_rows(saved(joint=[entry], effects=[], traces=[]))
-    assert how.startswith("not needed: voltage at most 1.31 mV (95 %) beside what was added; 4.8 standard deviations")
+    assert how.startswith("not added: voltage at most 1.31 mV (95 %) beside what was added; 4.8 standard deviations")
+    screen = {
+        "step": 16, "move": "screen", "data": "whole", "effects": ["device_drop"], "measure": "chi2", "score": 22.1,
+        "threshold": 32.4, "chi2_before": 1.0, "chi2_after": None, "decision": "rejected", "evaluations": 1.0,
+        "seconds": 1.0,
+    }  # fmt: skip
+    ((_, _, why),) = findings.alike_rows(saved(joint=[entry], effects=[], traces=[], search=[screen]))
+    assert "adding it lowers the summed χ² by 22.1, and 32.4 are needed (step 16)" in why
 
 
 def test_the_next_experiment_is_a_procedure_s_own_text() -> None:

@@ -104,7 +104,7 @@ def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(
     effects = [found.model_copy(update={"name": name, "twins": ()}) for name in causes]
     saved = SavedDiagnosis(a_diagnosis(effects=effects, next_experiment=None), DECIDED, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
-    assert lines[-1].text == f"nothing is left to measure; {advice}"
+    assert lines[-1].text == advice
     assert lines[-1].items == sizes
 
 
@@ -119,7 +119,7 @@ def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(
         (
             {"twins": (), "material": False},
             DECIDED,
-            "nothing is left to measure; no effect is large enough to be compensated",
+            "no effect is large enough to be compensated",
         ),
     ],
 )
@@ -231,7 +231,7 @@ def test_each_torque_has_its_shortest_current() -> None:
     assert torque_rows(found, motor.model_copy(update={"pm_flux_wb": None})) == []
 
 
-def test_what_is_certain_is_done_before_the_experiment_that_tells_the_rest() -> None:
+def test_the_experiment_is_measured_before_the_drive_compensates_what_is_certain() -> None:
     found = a_diagnosis().effects[0]
     angle = {"angle_rad": {"value": 0.0454, "low": 0.04, "high": 0.05, "unit": "rad"}}
     turned = found.model_dump() | {"name": "rotor_misalignment", "twins": (), "parameters": angle}
@@ -241,8 +241,8 @@ def test_what_is_certain_is_done_before_the_experiment_that_tells_the_rest() -> 
     words = WORDS.model_copy(update={"to_decide": experiment_to_decide(proposed)})
     saved = SavedDiagnosis(report, words, ())
     line = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))[-1]
-    assert line.text.startswith("compensate rotor misalignment in the drive")
-    assert "; then `fluxbench run --from run` measures" in line.text
+    assert line.text.startswith("`fluxbench run --from run` measures")
+    assert "; then compensate rotor misalignment in the drive" in line.text
     assert [item.partition("; add it to the angle")[0] for item in line.items] == [
         "rotor misalignment: angle 45.4 mrad (2.6°)"
     ]
