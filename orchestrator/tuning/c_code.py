@@ -11,12 +11,11 @@ import numpy as np
 
 from orchestrator.analysis import COPPER_PER_K
 from orchestrator.extras import require
+from orchestrator.flux_maps import ROOM_C, in_ascii
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.basis import in_ascii
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, loop_gains
 from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
-from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.references import CurrentReferences
 from protocols import InputError, Motor
 

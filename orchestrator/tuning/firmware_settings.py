@@ -18,15 +18,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from orchestrator.flux_maps import ROOM_C, in_ascii
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.tables import value_at
-from orchestrator.tuning.basis import NEGLIGIBLE_RATIO, in_ascii
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl
 from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.machine import ROOM_C, Machine
+from orchestrator.tuning.losses import NEGLIGIBLE_RATIO
+from orchestrator.tuning.machine import Machine
 from protocols import FluxMap
 
 TITLES = {"odrive": "ODrive", "simplefoc": "SimpleFOC", "vesc": "VESC"}

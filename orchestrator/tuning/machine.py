@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from orchestrator.flux_maps import MapSurface, fill_smoothly
+from orchestrator.flux_maps import (
+    MapSurface,
+    fill_smoothly,
+    magnet_basis,
+    magnet_is_copied,
+    resistance_basis,
+)
 from orchestrator.numerics.types import Array, Mask
-from orchestrator.tuning.basis import magnet_basis, resistance_basis
 from protocols import FluxMap, InputError, Motor
 
 WHERE = "flux map"
-ROOM_C = 20.0
-"""Temperature to which data sheets state resistances, for a winding of unknown temperature [°C]."""
 MAX_MAGNET_PER_K = 0.01
 """Largest relative change of a magnet's flux [1/K]: ferrites lose 0.002, neodymium 0.0011."""
-SAME_FLUX_RATIO = 1e-4
-"""Relative difference of two fluxes up to which one was copied from the other: no measurement is so close."""
 MIN_MOTORING_SHARE = 1e-6
 """Part of the largest current that i_q has to reach in the map: only rounding stays below it."""
 
@@ -74,14 +74,12 @@ class Machine:
     @property
     def magnet_is_nameplates(self) -> bool:
         """Whether the flux without current is the nameplate's, as in each map of a rotor that stood still."""
-        stated = self.motor.pm_flux_wb
-        return bool(stated) and math.isclose(self.rest_flux_wb, stated or 0.0, rel_tol=SAME_FLUX_RATIO)
+        return magnet_is_copied(self.motor, self.rest_flux_wb)
 
     @property
     def basis(self) -> tuple[str, ...]:
         """What every figure rests on, a sentence each: R_s with its temperature, and a flux that was not measured."""
-        at_c = ROOM_C if self.winding_c is None else self.winding_c
-        resistance = f"R_s: {resistance_basis(self.r_s_ohm, at_c, self.winding_c is None)}"
+        resistance = f"R_s: {resistance_basis(self.r_s_ohm, self.winding_c)}"
         if not self.magnet_is_nameplates:
             return (resistance,)
         return resistance, f"magnet's flux: {magnet_basis(self.rest_flux_wb)}"

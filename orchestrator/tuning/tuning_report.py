@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from orchestrator.flux_maps import ROOM_C
 from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
-from orchestrator.tuning.basis import loss_basis
 from orchestrator.tuning.c_code import c_files, source_values
 from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
-from orchestrator.tuning.machine import ROOM_C
+from orchestrator.tuning.losses import loss_basis
 from orchestrator.tuning.pictures import tuning_picture
 from orchestrator.tuning.sensorless import MAX_POSITION_ERROR_RAD, Sensorless
 from protocols import InputError, Number, RecordingError, Remark, StorageError, Strict

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.flux_maps import magnet_basis, resistance_basis
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
-from orchestrator.tuning.basis import loss_basis, magnet_basis, resistance_basis
+from orchestrator.tuning.losses import loss_basis
 from orchestrator.tuning.sensorless import MAX_POSITION_ERROR_RAD, WARMING_K
 from orchestrator.tuning.tuning_report import TuningReport
 
@@ -47,7 +48,7 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
     """The main figures, each with its name."""
     return [
         *_torque_rows(report),
-        ("R_s", resistance_basis(report.r_s_ohm, report.r_s_at_c, report.r_s_temperature_is_assumed)),
+        ("R_s", resistance_basis(report.r_s_ohm, None if report.r_s_temperature_is_assumed else report.r_s_at_c)),
         *_control_rows(report),
         *_compensation_rows(report),
         *_injection_rows(report),
