@@ -145,17 +145,18 @@ def _injection_rows(report: TuningReport) -> list[tuple[str, str]]:
         return [(name, f"not usable on this motor: the saliency suffices at {where}; use a sensor")]
     fails = report.injection_fails_at_a
     reach = f"up to {quantity(report.current_limit_a, 'A')}" if fails is None else f"below {_length(fails)}"
-    beyond = "" if fails is None else "; beyond, the saliency is too small: limit the current there, or use a sensor"
+    beyond = [] if fails is None else [("... beyond", "the saliency is too small: limit the current, or use a sensor")]
     if error <= math.degrees(MAX_POSITION_ERROR_RAD):
         text = f"usable {reach} as it is: angle error {number(error, 2)}° at most, within the limit of {limit}"
-        return [(name, f"{text}{beyond}")]
+        return [(name, text), *beyond]
     within = report.injection_within_limit_a
     as_it_is = "at no current" if within is None else f"up to {quantity(within, 'A')}"
     left = report.injection_left_by_map_deg
     is_enough = left is not None and left <= math.degrees(MAX_POSITION_ERROR_RAD)
     usable = f"usable {reach} along MTPA if its angle error is compensated" if is_enough else f"usable {as_it_is}"
     rows = [
-        (name, f"{usable}{beyond}"),
+        (name, usable),
+        *beyond,
         ("... as it is", f"{as_it_is} along MTPA the angle error stays within the limit of {limit} electrical"),
         ("... error to compensate", f"up to {number(error, 3)}°, at {vector(*place)}: subtract {AXIS_ANGLE}"),
     ]
