@@ -4,6 +4,7 @@ Knows flux maps and nothing of recordings, drives or estimators. scipy and xarra
 """
 
 from orchestrator.flux_maps._audit import MapAudit, audit_map
+from orchestrator.flux_maps._basis import ROOM_C, in_ascii, magnet_basis, magnet_is_copied, resistance_basis
 from orchestrator.flux_maps._faults import USES
 from orchestrator.flux_maps._filling import fill_smoothly
 from orchestrator.flux_maps._gridding import CSV_UNITS, MapFile
@@ -16,6 +17,7 @@ from orchestrator.flux_maps._surface import WHERE, MapSurface
 
 __all__ = [
     "CSV_UNITS",
+    "ROOM_C",
     "USES",
     "WHERE",
     "MapAudit",
@@ -27,9 +29,13 @@ __all__ = [
     "draw_audit",
     "fill_smoothly",
     "has_no_rest_flux",
+    "in_ascii",
     "load_map",
+    "magnet_basis",
+    "magnet_is_copied",
     "read_map",
     "repair_map",
+    "resistance_basis",
     "suggest_mapping",
     "with_magnet",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -11,11 +11,11 @@ import numpy as np
 
 from orchestrator.analysis import COPPER_PER_K
 from orchestrator.extras import require
+from orchestrator.flux_maps import ROOM_C, in_ascii
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, loop_gains
 from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
-from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.references import CurrentReferences
 from protocols import InputError, Motor
 
@@ -44,6 +44,7 @@ def source_values(
     compensation: Compensation,
     limits: DriveLimits,
     magnet_per_k: float | None = None,
+    basis: Sequence[str] = (),
 ) -> dict[str, Any]:
     """What the source's templates are filled with, in float and in int32.
 
@@ -55,6 +56,8 @@ def source_values(
         For its name, pole pairs and magnet.
     magnet_per_k : float, optional
         Relative change of the magnet's flux [1/K]; without, the magnet's temperature is no argument.
+    basis : sequence of str
+        What the figures rest on, a sentence each, for the header's comment.
 
     Raises
     ------
@@ -96,6 +99,7 @@ def source_values(
         "name": _comment(motor.name),
         "sources": _comment(", ".join(compensation.sources)),
         "left_out": [_comment(f"{left.name}: {left.reason}") for left in compensation.left_out],
+        "basis": [_comment(in_ascii(line)) for line in basis],
         "tables": _tables(references, control, compensation),
     }
 

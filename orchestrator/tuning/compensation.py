@@ -111,6 +111,18 @@ class Compensation:
         """Both delays, which the loop of a current control has in it."""
         return self.voltage_delay_s + self.current_delay_s
 
+    def lost_parts_v(self, bus_v: float) -> tuple[float, float]:
+        """What a leg loses at the largest current [V]: in proportion to the bus, and at any bus voltage."""
+        return bus_v * float(self.lost_per_bus_v[-1]), float(self.lost_v[-1])
+
+    @property
+    def corrects_readings(self) -> bool:
+        """Whether sensors, the angle or a constant voltage are corrected."""
+        return bool(
+            np.any(self.current_gain != np.eye(2)) or np.any(self.current_offset_a) or np.any(self.bias_ab_v)
+            or self.angle_rad or self.delay_s
+        )  # fmt: skip
+
     @classmethod
     def of(
         cls,

@@ -39,8 +39,32 @@ FLUX_NODES = 25
 INDUCTANCE_NODES = 9
 PLANE_NODES = 41
 """Currents along each axis at which the margin is examined."""
+CIRCLE_NODES = 180
+"""Currents on the circle of the limit, where the iron is most saturated."""
 FREQUENCIES = 2000
 """Frequencies of either sign at which the loop's gain is searched for crossings of one, a third of a per cent apart."""
+
+
+@dataclass(frozen=True)
+class LeastInductance:
+    """The least inductance that a voltage step on one axis meets within the current limit.
+
+    It is 1 / (L^-1)_kk, which is below L_kk by L_dq^2 / L of the other axis.
+
+    Attributes
+    ----------
+    inductance_h : float
+        [H]
+    i_d_a, i_q_a : float
+        Current at which it is met, where the iron is most saturated [A].
+    at_rest_h : float
+        What the step meets without current [H].
+    """
+
+    inductance_h: float
+    i_d_a: float
+    i_q_a: float
+    at_rest_h: float
 
 
 @dataclass(frozen=True)
@@ -56,7 +80,9 @@ class CurrentControl:
     gain_i_d_a, gain_i_q_a : array, shapes (m,), (n,)
         Evenly spaced currents of the inductances [A].
     inductance_h : array, shape (m, n, 3)
-        Incremental L_dd, L_dq, L_qq [H]; times the bandwidth, the proportional gains of a control of currents [V/A].
+        Incremental L_dd, L_dq, L_qq [H].
+    least : pair of LeastInductance
+        Towards d and q: times the bandwidth, the proportional gains of a PI control of currents [V/A].
     delay_s : float
         From sampling to the mean of the voltage, filters included [s].
     bandwidth_rad_s : float
@@ -78,6 +104,7 @@ class CurrentControl:
     gain_i_d_a: Array
     gain_i_q_a: Array
     inductance_h: Array
+    least: tuple[LeastInductance, LeastInductance]
     delay_s: float
     bandwidth_rad_s: float
     integral_rad_s: float
@@ -87,6 +114,14 @@ class CurrentControl:
     period_s: float
     r_s_ohm: float
     winding_c: float | None
+
+    def inductance_at(self, i_dq: Array) -> Array:
+        """L_dd, L_dq, L_qq [H], shape (n, 3), as the code's table has them at currents (n, 2): linear between nodes."""
+        from scipy.interpolate import RegularGridInterpolator
+
+        axes = (self.gain_i_d_a, self.gain_i_q_a)
+        held = np.clip(i_dq, [axis[0] for axis in axes], [axis[-1] for axis in axes])
+        return np.asarray(RegularGridInterpolator(axes, self.inductance_h)(held))
 
 
 def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float = 0.0) -> CurrentControl:
@@ -119,6 +154,7 @@ def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float 
         gain_i_d_a=gain_axes[0],
         gain_i_q_a=gain_axes[1],
         inductance_h=inductance.reshape(INDUCTANCE_NODES, INDUCTANCE_NODES, 3),
+        least=_least_inductances(machine, limits),
         delay_s=delay,
         bandwidth_rad_s=alpha,
         integral_rad_s=INTEGRAL_RATIO * alpha,
@@ -223,9 +259,7 @@ def _largest_factor(machine: Machine, limits: DriveLimits) -> float:
     InputError
         Where L + dL may be singular, or the margin would be lost.
     """
-    axis = np.linspace(-limits.current_a, limits.current_a, PLANE_NODES)
-    at = _grid(axis, axis)
-    at = at[machine.inside(at) & (np.linalg.norm(at, axis=1) <= limits.current_a)]
+    at = _within_limit(machine, limits)
     inductance, std = machine.inductance(at), machine.inductance_std(at)
     largest = 1.0
     for signs in np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0]), axis=-1).reshape(-1, 3):
@@ -240,6 +274,29 @@ def _largest_factor(machine: Machine, limits: DriveLimits) -> float:
             raise InputError("flux map", "l_dd_std", text)
         largest = max(largest, float(np.abs(np.linalg.eigvals(inductance @ np.linalg.inv(true))).max()))
     return largest
+
+
+def _least_inductances(machine: Machine, limits: DriveLimits) -> tuple[LeastInductance, LeastInductance]:
+    """Towards d and q, within the measured part of the current limit and on its circle."""
+    turn = np.linspace(0.0, 2.0 * math.pi, CIRCLE_NODES, endpoint=False)
+    circle = limits.current_a * np.column_stack([np.cos(turn), np.sin(turn)])
+    at = np.concatenate([_within_limit(machine, limits), circle[machine.inside(circle)]])
+    met = 1.0 / np.diagonal(np.linalg.inv(machine.inductance(at)), axis1=1, axis2=2)
+    at_rest = 1.0 / np.diagonal(np.linalg.inv(machine.inductance(np.zeros((1, 2)))[0]))
+
+    def least(k: int) -> LeastInductance:
+        n = int(np.argmin(met[:, k]))
+        return LeastInductance(float(met[n, k]), float(at[n, 0]), float(at[n, 1]), float(at_rest[k]))
+
+    return least(0), least(1)
+
+
+def _within_limit(machine: Machine, limits: DriveLimits) -> Array:
+    """Currents over the measured plane within the current limit, shape (n, 2) [A]."""
+    axis = np.linspace(-limits.current_a, limits.current_a, PLANE_NODES)
+    at = _grid(axis, axis)
+    within: Array = at[machine.inside(at) & (np.linalg.norm(at, axis=1) <= limits.current_a * (1.0 + 1e-9))]
+    return within
 
 
 def _even_axis(nodes: Array, count: int, limits: DriveLimits) -> Array:

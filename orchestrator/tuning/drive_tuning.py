@@ -118,7 +118,9 @@ def tune(
     references = current_references(machine, limits)
     control = current_control(machine, limits, compensation.delay_s)
     least_currents = references.i_dq_a[-1, 1:]
-    sensorless = sensorless_limits(machine, compensation, limits.current_a, least_currents, injection=injection)
+    sensorless = sensorless_limits(
+        machine, compensation, limits.current_a, least_currents, injection=injection, table=control.inductance_at
+    )
     return DriveTuning(machine, limits, references, control, compensation, sensorless)
 
 

@@ -7,13 +7,17 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator.flux_maps import MapSurface, fill_smoothly
+from orchestrator.flux_maps import (
+    MapSurface,
+    fill_smoothly,
+    magnet_basis,
+    magnet_is_copied,
+    resistance_basis,
+)
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap, InputError, Motor
 
 WHERE = "flux map"
-ROOM_C = 20.0
-"""Temperature to which data sheets state resistances, for a winding of unknown temperature [°C]."""
 MAX_MAGNET_PER_K = 0.01
 """Largest relative change of a magnet's flux [1/K]: ferrites lose 0.002, neodymium 0.0011."""
 MIN_MOTORING_SHARE = 1e-6
@@ -61,6 +65,24 @@ class Machine:
     @cached_property
     def surface(self) -> MapSurface:
         return MapSurface(self.flux_map)
+
+    @cached_property
+    def rest_flux_wb(self) -> float:
+        """psi_d without current [Wb]."""
+        return float(self.psi(np.zeros((1, 2)))[0, 0])
+
+    @property
+    def magnet_is_nameplates(self) -> bool:
+        """Whether the flux without current is the nameplate's, as in each map of a rotor that stood still."""
+        return magnet_is_copied(self.motor, self.rest_flux_wb)
+
+    @property
+    def basis(self) -> tuple[str, ...]:
+        """What every figure rests on, a sentence each: R_s with its temperature, and a flux that was not measured."""
+        resistance = f"R_s: {resistance_basis(self.r_s_ohm, self.winding_c)}"
+        if not self.magnet_is_nameplates:
+            return (resistance,)
+        return resistance, f"magnet's flux: {magnet_basis(self.rest_flux_wb)}"
 
     @property
     def pole_pairs(self) -> int:

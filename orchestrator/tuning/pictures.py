@@ -36,6 +36,7 @@ def figure_of(tuning: DriveTuning) -> Figure:
     _injection(figure, bare(axes[1, 1]), tuning)
     _torque_error(bare(axes[2, 0]), tuning)
     _ripple(bare(axes[2, 1]), tuning)
+    figure.suptitle("\n".join(tuning.machine.basis), fontsize=STYLE.small_pt)
     return figure
 
 
@@ -99,7 +100,7 @@ def _injection(figure: Figure, axes: Axes, tuning: DriveTuning) -> None:
         rows, columns = np.nonzero(lost)
         axes.plot(held.i_d_a[rows], held.i_q_a[columns], "x", color=VERMILION, ms=4, label="does not work")
         axes.legend(fontsize=0.8 * STYLE.small_pt, loc="lower right")
-    axes.set_title("position error of injection [°]", fontsize=STYLE.normal_pt)
+    axes.set_title("position error of injection, not compensated [°]", fontsize=STYLE.normal_pt)
     name_axes(axes, CURRENT_LABELS["d"], CURRENT_LABELS["q"])
 
 

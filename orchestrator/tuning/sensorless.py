@@ -34,6 +34,7 @@ doi:10.1109/TPEL.2008.2004272 (active flux).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,9 +104,13 @@ class Sensorless:
         The largest of the observer's speeds there; NaN where the magnet's flux is not known.
     least_speed_warm_rad_s : float
         The same with R_s off by `WARMING_K` besides.
+    operating_error_rad : array, shape (n,)
+        `injection_error_rad` there.
+    operating_works : array of bool, shape (n,)
+        `works` there.
     left_by_map_rad : float
-        Largest |error| that a compensation by the flux map leaves to injection there, as far as the saliency is large
-        enough and not inverted; NaN where it nowhere is.
+        Largest |error| that a compensation by the drive's table of inductances leaves to injection there, as far as
+        the saliency is large enough and not inverted; NaN where it nowhere is.
     """
 
     i_d_a: Array
@@ -121,6 +126,8 @@ class Sensorless:
     operating_dq_a: Array
     least_speed_rad_s: float
     least_speed_warm_rad_s: float
+    operating_error_rad: Array
+    operating_works: Mask
     left_by_map_rad: float
 
 
@@ -132,6 +139,7 @@ def sensorless_limits(
     *,
     injection: FluxMap | None = None,
     current_noise_a: float | None = None,
+    table: Callable[[Array], Array] | None = None,
 ) -> Sensorless:
     """Limits of both methods.
 
@@ -149,7 +157,11 @@ def sensorless_limits(
         measured, the machine's elsewhere.
     current_noise_a : float, optional
         Noise of a current reading, rms [A].
+    table : callable, optional
+        L_dd, L_dq, L_qq (n, 3) [H] over currents (n, 2) that the drive compensates with; by default the map's slopes.
     """
+    from scipy.interpolate import RegularGridInterpolator
+
     i_d, i_q = machine.surface.i_d, machine.surface.i_q
     nodes = np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1).reshape(-1, 2)
     shape = (len(i_d), len(i_q))
@@ -157,6 +169,8 @@ def sensorless_limits(
     measured, std = _incremental(machine, injection, nodes)
     seen, by_map = principal(*measured.T), principal(*_slopes(machine, nodes).T)
     slope = _error_slope(i_d, i_q, measured.reshape(*shape, 3))
+    at_operating = principal(*_incremental(machine, injection, operating_dq)[0].T)
+    operating_slope = RegularGridInterpolator((i_d, i_q), slope, bounds_error=False, fill_value=None)(operating_dq)
     noise_a = CURRENT_NOISE_RATIO * current_a if current_noise_a is None else current_noise_a
     least_ratio = _least_ratio(noise_a / (INJECTED_RATIO * current_a))
     speed, at_work, warm = (
@@ -164,24 +178,30 @@ def sensorless_limits(
         for i_dq, r_s_error in ((nodes, 0.0), (operating_dq, 0.0), (operating_dq, COPPER_PER_K * WARMING_K))
     )
 
-    def table(values: Array) -> Array:
+    def measured_only(values: Array) -> Array:
         return np.where(inside, values, np.nan).reshape(shape)
 
     return Sensorless(
         i_d_a=i_d,
         i_q_a=i_q,
-        ratio=table(seen.ratio),
-        injection_error_rad=table(seen.angle_rad),
-        injection_error_std_rad=table(_angle_std(measured, std)),
-        large_signal_error_rad=table(by_map.angle_rad),
-        error_slope=table(slope.ravel()),
+        ratio=measured_only(seen.ratio),
+        injection_error_rad=measured_only(seen.angle_rad),
+        injection_error_std_rad=measured_only(_angle_std(measured, std)),
+        large_signal_error_rad=measured_only(by_map.angle_rad),
+        error_slope=measured_only(slope.ravel()),
         works=(inside & _is_salient(seen, least_ratio)).reshape(shape) & (np.abs(slope) < MAX_ERROR_SLOPE),
         least_ratio=least_ratio,
-        observer_speed_rad_s=table(speed),
+        observer_speed_rad_s=measured_only(speed),
         operating_dq_a=operating_dq,
         least_speed_rad_s=float(np.max(at_work)),
         least_speed_warm_rad_s=float(np.max(warm)),
-        left_by_map_rad=_left_by_map(machine, injection, operating_dq, least_ratio),
+        operating_error_rad=at_operating.angle_rad,
+        operating_works=_is_salient(at_operating, least_ratio) & (np.abs(operating_slope) < MAX_ERROR_SLOPE),
+        left_by_map_rad=_left_by(
+            principal(*(_slopes(machine, operating_dq) if table is None else table(operating_dq)).T),
+            at_operating,
+            least_ratio,
+        ),
     )
 
 
@@ -236,11 +256,10 @@ def _is_salient(seen: Saliency, least_ratio: float) -> Mask:
     return salient
 
 
-def _left_by_map(machine: Machine, injection: FluxMap | None, i_dq: Array, least_ratio: float) -> float:
-    """Largest error of the position that a compensation by the map's slopes leaves to injection."""
-    seen, by_map = (principal(*one.T) for one in (_incremental(machine, injection, i_dq)[0], _slopes(machine, i_dq)))
+def _left_by(known: Saliency, seen: Saliency, least_ratio: float) -> float:
+    """Largest error of the position that a compensation by known inductances leaves to injection."""
     # An axis has no direction: angles are the same modulo half a turn.
-    left = 0.5 * np.abs(np.angle(np.exp(2j * (seen.angle_rad - by_map.angle_rad))))[_is_salient(seen, least_ratio)]
+    left = 0.5 * np.abs(np.angle(np.exp(2j * (seen.angle_rad - known.angle_rad))))[_is_salient(seen, least_ratio)]
     return float(left.max()) if len(left) else math.nan
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from orchestrator.flux_maps import ROOM_C
 from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
@@ -18,10 +19,10 @@ from orchestrator.tuning.c_code import c_files, source_values
 from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
-from orchestrator.tuning.firmware_settings import least_inductances_h, settings_for_firmware
-from orchestrator.tuning.machine import ROOM_C
+from orchestrator.tuning.firmware_settings import settings_for_firmware
+from orchestrator.tuning.losses import loss_basis
 from orchestrator.tuning.pictures import tuning_picture
-from orchestrator.tuning.sensorless import Sensorless
+from orchestrator.tuning.sensorless import MAX_POSITION_ERROR_RAD, Sensorless
 from protocols import InputError, Number, RecordingError, Remark, StorageError, Strict
 
 MARGIN_SPEEDS = 11
@@ -65,8 +66,18 @@ class TuningReport(Strict):
     r_s_ohm: float
     r_s_at_c: float
     """Resistance of a phase, and the winding's temperature at which it holds; 20 °C where that is not known."""
+    r_s_temperature_is_assumed: bool = False
+    """Whether the temperature is not known, so that it is 20 °C."""
+    nameplate_magnet_wb: Number = None
+    """The magnet's flux where it is the nameplate's: torque, MTPA and speeds rest on it; null where it was measured."""
     k_p_v_per_a: tuple[float, float] | None = None
     """Proportional gains of plain PI controllers of i_d and i_q: the bandwidth times the least inductance [V/A]."""
+    least_inductance_h: tuple[float, float] | None = None
+    """Least incremental inductances towards d and q within the current limit [H]."""
+    least_inductance_at_a: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """i_d and i_q of each of them [A]."""
+    rest_inductance_h: tuple[float, float] | None = None
+    """The same inductances without current [H]."""
     k_i_v_per_as: Number = None
     """Their integral gain: the bandwidth times R_s [V/(A s)]."""
     delay_s: float
@@ -77,8 +88,10 @@ class TuningReport(Strict):
     """Effects of the model that it does not, with the reason."""
     lost_v: float
     """Voltage of a leg that the inverter loses at the largest current, at this bus voltage [V]."""
+    lost_in_proportion_to_bus_v: Number = None
+    """The part of it in proportion to the bus voltage; the rest is lost at any bus voltage [V]."""
     lost_time_s: Number = None
-    """Time that a leg loses in a PWM period at the largest current, its dead time for the most part [s]."""
+    """Effective dead time: that part over bus voltage and PWM frequency; it makes up for nothing of the rest [s]."""
     constant_inductance_error_percent: float
     """Torque error of references from constant inductances, rms over the largest torque."""
     low_speed_rpm: float
@@ -90,13 +103,16 @@ class TuningReport(Strict):
     injection_works_percent: Number
     """Part of the measured plane within the current limit where a tracking by injection works."""
     injection_error_deg: Number
-    """Largest position error of injection by cross-saturation there."""
+    """Largest position error of injection by cross-saturation at the references of least current, as far as injection
+    works there; null where it works at none."""
     injection_error_at_a: tuple[float, float] | None
     """i_d and i_q of that error."""
+    injection_within_limit_a: Number = None
+    """|i| of these references up to which that error stays within 5 degrees; null where it does not at the least."""
     injection_fails_at_a: tuple[float, float] | None = None
     """Least of the references of least current at which it does not work; null where it works at all of them."""
     injection_left_by_map_deg: Number
-    """Largest error at the references of least current that a compensation by the flux map leaves."""
+    """Largest error at these references that is left after a compensation by the code's table of inductances."""
     observer_speed_rpm: Number
     """From which a back-EMF observer stays within 5 degrees at those references; null where it never does."""
     observer_speed_warm_rpm: Number
@@ -114,11 +130,12 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
     inside = tuning.machine.inside(plane.reshape(-1, 2)).reshape(plane.shape[:2])
     inside &= np.linalg.norm(plane, axis=-1) <= limits.current_a
     works = sensorless.works & inside
-    error = np.abs(np.where(works, sensorless.injection_error_rad, 0.0))
-    worst = plane[np.unravel_index(int(error.argmax()), error.shape)] if works.any() else None
+    used = _usable_references(sensorless)
+    error = np.abs(sensorless.operating_error_rad[:used])
+    worst = sensorless.operating_dq_a[int(error.argmax())].tolist() if used else None
     speeds = np.linspace(0.0, tuning.largest_speed_rad_s, MARGIN_SPEEDS).tolist()
-    lost = np.abs(compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v)
-    least_d, least_q = least_inductances_h(control, limits)
+    of_bus_v, of_any_bus_v = compensation.lost_parts_v(limits.bus_v)
+    d, q = control.least
     return TuningReport(
         motor=tuning.machine.motor.name,
         recording=recording,
@@ -142,31 +159,33 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         integral_limit_v=limits.voltage_v,
         r_s_ohm=control.r_s_ohm,
         r_s_at_c=ROOM_C if control.winding_c is None else control.winding_c,
-        k_p_v_per_a=(control.bandwidth_rad_s * least_d, control.bandwidth_rad_s * least_q),
+        r_s_temperature_is_assumed=control.winding_c is None,
+        nameplate_magnet_wb=tuning.machine.rest_flux_wb if tuning.machine.magnet_is_nameplates else None,
+        k_p_v_per_a=(control.bandwidth_rad_s * d.inductance_h, control.bandwidth_rad_s * q.inductance_h),
+        least_inductance_h=(d.inductance_h, q.inductance_h),
+        least_inductance_at_a=((d.i_d_a, d.i_q_a), (q.i_d_a, q.i_q_a)),
+        rest_inductance_h=(d.at_rest_h, q.at_rest_h),
         k_i_v_per_as=control.bandwidth_rad_s * control.r_s_ohm,
         delay_s=control.delay_s,
         compensated=compensation.sources,
         left_out={one.name: one.reason for one in compensation.left_out},
-        lost_v=float(lost.max(initial=0.0)),
-        lost_time_s=lost_time_s(tuning),
+        lost_v=of_bus_v + of_any_bus_v,
+        lost_in_proportion_to_bus_v=of_bus_v,
+        lost_time_s=of_bus_v / limits.bus_v / limits.pwm_hz,
         constant_inductance_error_percent=tuning.benefits.torque_error_percent,
         low_speed_rpm=tuning.rpm(tuning.benefits.speed_rad_s),
         harmonics_percent=tuning.benefits.harmonics_percent,
         harmonics_without_percent=tuning.benefits.harmonics_without_percent,
         injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
         injection_error_deg=None if worst is None else math.degrees(float(error.max())),
-        injection_error_at_a=None if worst is None else (float(worst[0]), float(worst[1])),
-        injection_fails_at_a=_first_failure(sensorless),
+        injection_error_at_a=None if worst is None else (worst[0], worst[1]),
+        injection_within_limit_a=_within_limit_a(sensorless, used),
+        injection_fails_at_a=None if used == len(sensorless.operating_works) else _at(sensorless, used),
         injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
         observer_speed_rpm=_finite(tuning.rpm(sensorless.least_speed_rad_s)),
         observer_speed_warm_rpm=_finite(tuning.rpm(sensorless.least_speed_warm_rad_s)),
         remarks=tuple(_remarks(tuning)),
     )
-
-
-def lost_time_s(tuning: DriveTuning) -> float:
-    """Time that a leg loses in a PWM period at the largest current: what it loses in proportion to the bus [s]."""
-    return float(np.abs(tuning.compensation.lost_per_bus_v[-1])) / tuning.limits.pwm_hz
 
 
 def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequence[Remark] = ()) -> TuningReport:
@@ -189,7 +208,7 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
         "compensation.csv": _compensation_csv(tuning),
         "tuning.svg": tuning_picture(tuning),
         **code,
-        **settings_for_firmware(tuning.control, tuning.limits, tuning.machine.flux_map, lost_time_s(tuning)),
+        **settings_for_firmware(tuning.machine, tuning.limits, tuning.control, tuning.compensation),
     }
     report = report_of(tuning, recording)
     known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks, *on_code)}
@@ -204,13 +223,22 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
     return report
 
 
-def _first_failure(sensorless: Sensorless) -> tuple[float, float] | None:
-    """The first of the references at which a tracking by injection does not work, by the nearest node of the map."""
-    for i_d, i_q in sensorless.operating_dq_a.tolist():
-        at = int(np.abs(sensorless.i_d_a - i_d).argmin()), int(np.abs(sensorless.i_q_a - i_q).argmin())
-        if not sensorless.works[at]:
-            return i_d, i_q
-    return None
+def _usable_references(sensorless: Sensorless) -> int:
+    """Number of the references, from the least current on, before the first at which injection does not work."""
+    fails = ~sensorless.operating_works
+    return int(fails.argmax()) if fails.any() else len(fails)
+
+
+def _within_limit_a(sensorless: Sensorless, used: int) -> float | None:
+    """|i| of the last reference before the first whose position error is too large [A]."""
+    beyond = np.abs(sensorless.operating_error_rad[:used]) > MAX_POSITION_ERROR_RAD
+    count = int(beyond.argmax()) if beyond.any() else used
+    return math.hypot(*_at(sensorless, count - 1)) if count else None
+
+
+def _at(sensorless: Sensorless, index: int) -> tuple[float, float]:
+    i_d, i_q = sensorless.operating_dq_a[index].tolist()
+    return i_d, i_q
 
 
 def _finite(value: float) -> float | None:
@@ -222,12 +250,26 @@ def _c_files(tuning: DriveTuning) -> tuple[dict[str, bytes], list[Remark]]:
     motor = tuning.machine.motor
     parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits, tuning.machine.magnet_per_k)
     symbol = code_identifier(motor.name)
-    values = source_values(symbol, motor, *parts)
+    values = source_values(symbol, motor, *parts, basis=_basis(tuning))
     in_float = c_files(values)
     try:
         return in_float | c_files_int32(values), []
     except InputError as error:
         return in_float, [Remark.of("no_int32_code", "no C code in int32: {reason}", reason=str(error))]
+
+
+def _basis(tuning: DriveTuning) -> list[str]:
+    """What the source's figures rest on: R_s, the magnet's flux, and which part of the compensation is a dead time."""
+    limits = tuning.limits
+    of_bus_v, of_any_bus_v = tuning.compensation.lost_parts_v(limits.bus_v)
+    lost_v = of_bus_v + of_any_bus_v
+    lines = list(tuning.machine.basis)
+    if lost_v:
+        lost = f"inverter's loss: {quantity(lost_v, 'V')} a leg at {quantity(limits.current_a, 'A')}"
+        lines.append(f"{lost} and {quantity(limits.bus_v, 'V')} bus")
+        time_s = of_bus_v / limits.bus_v / limits.pwm_hz
+        lines += [f"... {name}: {text}" for name, text in loss_basis(lost_v, of_bus_v, time_s, limits.pwm_hz)]
+    return lines
 
 
 def load_tuning(folder: Path) -> TuningReport:

@@ -4,28 +4,33 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.flux_maps import magnet_basis, resistance_basis
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
+from orchestrator.tuning.losses import loss_basis
+from orchestrator.tuning.sensorless import MAX_POSITION_ERROR_RAD, WARMING_K
 from orchestrator.tuning.tuning_report import TuningReport
-
-LEAST_HARMONICS_PERCENT = 0.01
-"""Harmonics over the fundamental that are worth a line."""
 
 FILE_CONTENTS = (
     ("_int32.h", None),
     ("_int32.c", "C code in int32, for parts without an FPU, and its .h"),
     (".h", None),
     (".c", "C code in float: references, gains, compensation, angle; and its .h"),
-    ("references.csv", "i_d and i_q [A] over torque and flux limit"),
+    ("references.csv", "i_d and i_q [A] over torque [Nm] and flux limit [Wb]: MTPA, field weakening, MTPV"),
     ("torque.csv", "largest torque [Nm] and power [W] over speed"),
     ("compensation.csv", "voltage that a leg loses [V] over its current [A]"),
-    ("tuning.svg", "all of it in one picture"),
-    (".txt", "the current control's settings in this firmware's own words"),
+    ("tuning.svg", "torque, references, loss and injection's error in pictures; what the tuning changes"),
+    ("odrive.txt", "PI current control alone: no compensation, no MTPA, no saturation"),
+    ("simplefoc.txt", "PI current control alone: no compensation, no MTPA, no saturation"),
+    ("vesc.txt", "PI current control, motor model, dead time; no MTPA table, no saturation"),
     ("tuning.json", "the figures above, for programs"),
 )
 """Endings of the written files and what these hold; a header is named with its source file."""
 
+MIN_SATURATION_RATIO = 1.01
+"""Inductance without current over the least one from which the bandwidth without current has its figure."""
+AXIS_ANGLE = "−½ atan2(2 L_dq, L_qq − L_dd) at i_ref"
 MIN_USEFUL_SHARE_PERCENT = 10.0
 """Part of the currents below which a tracking by injection is of no use."""
 MIN_OBSERVER_SPEED_RATIO = 0.01
@@ -43,47 +48,58 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
     """The main figures, each with its name."""
     return [
         *_torque_rows(report),
-        (
-            "current control",
-            f"bandwidth {number(report.bandwidth_hz, 3)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
-        ),
-        ("... over the map's errors", f"phase margin at least {report.least_phase_margin_deg:.0f}° at standstill"),
-        (
-            "... at the largest speed",
-            f"phase margin at least {report.margins_deg[-1]:.0f}° at {report.largest_speed_rpm:.0f} rpm",
-        ),
-        (
-            "... its integral part",
-            f"bandwidth {number(report.integral_hz, 3)} Hz; its output is limited to "
-            f"{quantity(report.integral_limit_v, 'V')}, the bus over √3",
-        ),
-        *_gain_rows(report),
-        ("compensated effects", listed([plain(name) for name in report.compensated]) or "none"),
-        *([("inverter's loss", _loss(report))] if report.lost_v else []),
-        *_harmonics_rows(report),
-        (
-            "with constant inductances instead",
-            f"torque error {number(report.constant_inductance_error_percent, 2)} % rms, of the largest torque",
-        ),
-        *_sensorless_rows(report),
+        ("R_s", resistance_basis(report.r_s_ohm, None if report.r_s_temperature_is_assumed else report.r_s_at_c)),
+        *_control_rows(report),
+        *_compensation_rows(report),
+        *_injection_rows(report),
+        *_observer_rows(report),
     ]
 
 
-def _gain_rows(report: TuningReport) -> list[tuple[str, str]]:
-    """The gains of plain PI controllers."""
+def _control_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """The C code's control of flux, then the gains of plain PI controllers of currents."""
+    margins = f"{report.least_phase_margin_deg:.0f}° at standstill, {report.margins_deg[-1]:.0f}° at "
+    margins = f"phase margin at least {margins}{report.largest_speed_rpm:.0f} rpm"
+    bandwidth = f"{number(report.bandwidth_hz, 3)} Hz"
+    return [
+        ("flux control in the C code", f"bandwidth {bandwidth} at every current; {margins}"),
+        *_gain_rows(report, bandwidth),
+    ]
+
+
+def _gain_rows(report: TuningReport, bandwidth: str) -> list[tuple[str, str]]:
+    """The gains of plain PI controllers of currents, with the inductances that they are of."""
     if report.k_p_v_per_a is None or report.k_i_v_per_as is None:
         return []
-    d, q = (number(k_p, 3) for k_p in report.k_p_v_per_a)
-    k_p = f"{d} V/A" if d == q else f"{d} V/A for i_d, {q} V/A for i_q"
-    return [("... as plain PI controllers", f"k_p {k_p}; k_i {number(report.k_i_v_per_as, 3)} V/(A s)")]
+    rows = [
+        (
+            "PI current control instead",
+            f"k_p = 2π {bandwidth} · L and k_i = 2π {bandwidth} · R_s, constant, as in the .txt files",
+        ),
+        ("... k_i of i_d and i_q", f"{number(report.k_i_v_per_as, 3)} V/(A s)"),
+    ]
+    least, at, rest = report.least_inductance_h, report.least_inductance_at_a, report.rest_inductance_h
+    if least is None or at is None or rest is None:
+        return rows
+    for axis, k_p, l_h, place, rest_h in zip("dq", report.k_p_v_per_a, least, at, rest, strict=True):
+        text = f"{number(k_p, 3)} V/A by L_{axis} = {quantity(l_h, 'H')}"
+        if rest_h > MIN_SATURATION_RATIO * l_h:
+            slow = f"{number(report.bandwidth_hz * l_h / rest_h, 3)} Hz"
+            text += f", the least, at {vector(*place)}; without current {quantity(rest_h, 'H')}, so {slow}"
+        rows.append((f"... k_p of i_{axis}", text))
+    return rows
 
 
-def _loss(report: TuningReport) -> str:
-    text = f"up to {quantity(report.lost_v, 'V')} a leg"
-    if not report.lost_time_s:
-        return text
-    pwm = "" if report.pwm_hz is None else f" at {quantity(report.pwm_hz, 'Hz')} PWM"
-    return f"{text}; as a dead time {quantity(report.lost_time_s, 's')}{pwm}"
+def _compensation_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """What the code compensates, and which part of the inverter's loss is a time."""
+    rows = [("compensated by the C code", listed([plain(name) for name in report.compensated]) or "nothing")]
+    if not report.lost_v:
+        return rows
+    at = f"at {quantity(report.current_limit_a, 'A')} and {quantity(report.bus_v, 'V')} bus"
+    rows.append(("inverter's loss", f"{quantity(report.lost_v, 'V')} a leg {at}"))
+    of_time_v = report.lost_v if report.lost_in_proportion_to_bus_v is None else report.lost_in_proportion_to_bus_v
+    parts = loss_basis(report.lost_v, of_time_v, report.lost_time_s, report.pwm_hz)
+    return [*rows, *((f"... {name}", text) for name, text in parts)]
 
 
 def notes(report: TuningReport) -> list[str]:
@@ -96,26 +112,20 @@ def notes(report: TuningReport) -> list[str]:
 
 
 def _torque_rows(report: TuningReport) -> list[tuple[str, str]]:
-    """The largest torque with the speeds at which it is available, and what is left of it beyond them."""
+    """The largest torque, the speeds at which it is available and what is left beyond, and what it rests on."""
     torque, base = quantity(report.largest_torque_nm, "Nm"), f"{report.base_speed_rpm:.0f} rpm"
     largest = f"{report.largest_speed_rpm:.0f} rpm"
     if report.base_speed_rpm >= report.largest_speed_rpm:
         text = f"{torque} at every speed up to the limit of {largest}; the voltage would suffice up to {base}"
-        return [("largest torque", text)]
-    left = quantity(report.torque_at_largest_speed_nm, "Nm")
-    return [
-        ("largest torque", f"{torque} up to {base}; beyond, the voltage limits it"),
-        ("... left at the largest speed", f"{left} at {largest}"),
-    ]
-
-
-def _harmonics_rows(report: TuningReport) -> list[tuple[str, str]]:
-    """None where there is nothing to compensate, and little where it is small."""
-    without = report.harmonics_without_percent
-    if without < LEAST_HARMONICS_PERCENT:
-        return []
-    name = f"... 5th and 7th harmonic at {report.low_speed_rpm:.0f} rpm"
-    return [(name, f"{number(without, 2)} % of the current, with compensation {number(report.harmonics_percent, 2)} %")]
+        rows = [("largest torque", text)]
+    else:
+        left = quantity(report.torque_at_largest_speed_nm, "Nm")
+        rows = [
+            ("largest torque", f"{torque} up to {base}; beyond, the voltage limits it"),
+            ("... left at the largest speed", f"{left} at {largest}"),
+        ]
+    magnet = report.nameplate_magnet_wb
+    return rows if magnet is None else [*rows, ("... by the magnet's flux", magnet_basis(magnet))]
 
 
 def file_rows(report: TuningReport) -> list[tuple[str, str]]:
@@ -124,45 +134,56 @@ def file_rows(report: TuningReport) -> list[tuple[str, str]]:
     return [(name, text) for name, text in known if text is not None]
 
 
-def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
+def _injection_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """At which of the references injection is usable, by `MAX_POSITION_ERROR_RAD`, and what is to be compensated."""
     share, error, place = report.injection_works_percent, report.injection_error_deg, report.injection_error_at_a
-    rows = []
-    if share is not None and share < MIN_USEFUL_SHARE_PERCENT:
-        where = f"{number(share, 2)} % of the currents within the limit of {quantity(report.current_limit_a, 'A')}"
-        text = f"does not work on this motor: the saliency suffices at {where}"
-        return [("tracking by injection", f"{text}; use a sensor"), *_observer_rows(report)]
-    if share is not None:
-        currents = "every current" if share == 100.0 else f"{number(share, 2)} % of the currents"
-        limit = quantity(report.current_limit_a, "A")
-        rows.append(("tracking by injection", f"works at {currents} within the limit of {limit}"))
-        if (fails := report.injection_fails_at_a) is not None:
-            reach = f"works below (i_d, i_q) = {vector(*fails)}, {quantity(math.hypot(*fails), 'A')}"
-            rows.append(("... along the references", f"{reach}: beyond, the saliency is too small"))
-            rows.append(("", "limit the current there, or use a sensor"))
-        elif share < 100.0:
-            rows.append(("... along the references", "works at all of them: the others are not used"))
-    if share is not None and error is not None:
-        at = "" if place is None else f", at (i_d, i_q) = {vector(*place)}"
-        rows.append(("... position error", f"at standstill up to {number(error, 3)}° electrical{at}"))
-    if report.injection_left_by_map_deg is not None:
-        left = number(report.injection_left_by_map_deg, 3)
-        rows.append(("... corrected by the map", f"at standstill up to {left}° electrical"))
-    return [*rows, *_observer_rows(report)]
+    name, limit = "sensorless by injection", f"{math.degrees(MAX_POSITION_ERROR_RAD):.0f}°"
+    if share is None:
+        return []
+    if share < MIN_USEFUL_SHARE_PERCENT or error is None or place is None:
+        where = f"{number(share, 2)} % of the currents within {quantity(report.current_limit_a, 'A')}"
+        return [(name, f"not usable on this motor: the saliency suffices at {where}; use a sensor")]
+    fails = report.injection_fails_at_a
+    reach = f"up to {quantity(report.current_limit_a, 'A')}" if fails is None else f"below {_length(fails)}"
+    beyond = [] if fails is None else [("... beyond", "the saliency is too small: limit the current, or use a sensor")]
+    if error <= math.degrees(MAX_POSITION_ERROR_RAD):
+        text = f"usable {reach} as it is: angle error {number(error, 2)}° at most, within the limit of {limit}"
+        return [(name, text), *beyond]
+    within = report.injection_within_limit_a
+    as_it_is = "at no current" if within is None else f"up to {quantity(within, 'A')}"
+    left = report.injection_left_by_map_deg
+    is_enough = left is not None and left <= math.degrees(MAX_POSITION_ERROR_RAD)
+    usable = f"usable {reach} along MTPA if its angle error is compensated" if is_enough else f"usable {as_it_is}"
+    rows = [
+        (name, usable),
+        *beyond,
+        ("... as it is", f"{as_it_is} along MTPA the angle error stays within the limit of {limit} electrical"),
+        ("... error to compensate", f"up to {number(error, 3)}°, at {vector(*place)}: subtract {AXIS_ANGLE}"),
+    ]
+    if left is not None:
+        rows.append(("", f"with L of the C code's table; up to {number(left, 2)}° is left"))
+    return rows
+
+
+def _length(i_dq: tuple[float, float]) -> str:
+    return quantity(math.hypot(*i_dq), "A")
 
 
 def _observer_rows(report: TuningReport) -> list[tuple[str, str]]:
-    """The speeds from which an observer works, with R_s as it is and with R_s of a winding that is 50 K warmer."""
+    """The speeds from which an observer works, with R_s of a winding that is 50 K warmer, and with R_s as it is."""
     warm, cold = report.observer_speed_warm_rpm, report.observer_speed_rpm
+    name = "sensorless by back-EMF"
+    limit = f"{math.degrees(MAX_POSITION_ERROR_RAD):.0f}°"
     if warm is None or cold is None:
-        return [("back-EMF observer", "position error above 5° electrical at every speed")]
+        return [(name, f"not usable: the angle error exceeds the limit of {limit} electrical at every speed")]
     floor = MIN_OBSERVER_SPEED_RATIO * report.largest_speed_rpm
     right = f"from {cold:.0f} rpm on"
     if cold < floor:
         right = f"from less than {floor:.0f} rpm on, where drift and offsets decide; these are not counted"
     return [
         (
-            "back-EMF observer",
-            f"position error below 5° electrical from {warm:.0f} rpm on, with the winding 50 K warmer",
+            name,
+            f"usable from {warm:.0f} rpm on: angle error within {limit} though the winding is {WARMING_K:.0f} K warmer",
         ),
-        ("... with R_s of the warm winding", right),
+        ("... if R_s follows the winding", right),
     ]

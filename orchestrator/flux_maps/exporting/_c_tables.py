@@ -13,6 +13,9 @@ from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, sal
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 
+ROUNDING_RATIO = 1e-9
+"""Deviation of a lookup over the largest flux below which it is rounding: the table's nodes are the measured points."""
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -74,7 +77,11 @@ def header_tables(products: Products) -> HeaderTables:
     psi_d, psi_q = surface.psi(grid).T.reshape(2, len(d.nodes), len(q.nodes))
     mask = surface.inside(grid).reshape(psi_d.shape)
     rms, worst = lookup_error(d.nodes, q.nodes, (psi_d, psi_q), surface.currents, surface.fluxes)
-    notes = [f"linear lookup of psi deviates from the measured fluxes by {rms:.2g} Wb rms, {worst:.2g} Wb at most"]
+    notes = []
+    if worst > ROUNDING_RATIO * float(np.abs(surface.fluxes).max()):
+        notes.append(
+            f"linear lookup of psi deviates from the measured fluxes by {rms:.2g} Wb rms, {worst:.2g} Wb at most"
+        )
     tables = [
         Table("psi_d", "wb", "large-signal d-axis flux linkage", psi_d, (d, q)),
         Table("psi_q", "wb", "large-signal q-axis flux linkage", psi_q, (d, q)),

@@ -95,6 +95,7 @@ def export_map(
     *,
     recording: str = "",
     caution: str = "",
+    resistance: str = "",
 ) -> ExportReport:
     """Write a flux map into a folder, in every requested format.
 
@@ -113,6 +114,8 @@ def export_map(
         Name of the map's recording, for every file.
     caution : str
         Why the map is not to be relied on, for every file that has notes.
+    resistance : str
+        At which temperature R_s holds, likewise.
 
     Raises
     ------
@@ -124,7 +127,7 @@ def export_map(
     for name in formats or ():
         if name not in FORMATS:
             raise InputError("export", name, f"no such format; {_suggestion(name)}there are {', '.join(FORMATS)}")
-    products = Products(flux_map, motor, recording, caution)
+    products = Products(flux_map, motor, recording, caution, resistance)
     contents, omitted = _contents(products, formats)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,15 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator.flux_maps import MapAudit, MapSurface, audit_map, has_no_rest_flux
+from orchestrator.flux_maps import (
+    MapAudit,
+    MapSurface,
+    audit_map,
+    has_no_rest_flux,
+    in_ascii,
+    magnet_basis,
+    magnet_is_copied,
+)
 from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
 from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
 from orchestrator.formatting.names import code_identifier
@@ -40,10 +48,15 @@ class Products:
         Name of the map's recording.
     caution : str
         Why the map is not to be relied on; the first of the notes, and empty where it is usable or nothing is known.
+    resistance : str
+        At which temperature R_s holds, for the notes; empty where R_s was not measured.
     """
 
-    def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "", caution: str = "") -> None:
+    def __init__(
+        self, flux_map: FluxMap, motor: Motor, recording: str = "", caution: str = "", resistance: str = ""
+    ) -> None:
         self.flux_map, self.motor, self.recording, self.caution = flux_map, motor, recording, caution
+        self.resistance = resistance
 
     @property
     def symbol(self) -> str:
@@ -94,6 +107,10 @@ class Products:
     def notes(self) -> tuple[str, ...]:
         """Notes for every format."""
         notes = [self.caution] if self.caution else []
+        if self.resistance:
+            notes.append(in_ascii(f"R_s: {self.resistance}"))
+        if self.rest_wb is not None and magnet_is_copied(self.motor, self.rest_wb):
+            notes.append(in_ascii(f"magnet's flux: {magnet_basis(self.rest_wb)}"))
         holes = int((~self.surface.known).sum())
         if holes:
             notes.append(f"{holes} of {self.surface.known.size} grid points were not measured")
@@ -105,7 +122,7 @@ class Products:
         if self.mtpa is None:
             notes.append("no measured point with i_q > 0: no MTPA and no MTPV")
         elif self.mtpv is not None and not self.mtpv.interior.any():
-            notes.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
+            notes.append("MTPV lies beyond the measured region: its rows are the best at the edge (interior = 0)")
         return (*notes, *self.audit.notes)
 
     @property

@@ -38,9 +38,9 @@ def export(
     StorageError
         Where a file cannot be written.
     """
-    from orchestrator.flux_maps import load_map, with_magnet
+    from orchestrator.flux_maps import load_map, resistance_basis, with_magnet
     from orchestrator.flux_maps.exporting import export_map
-    from orchestrator.runs import refuse_file
+    from orchestrator.runs import is_run, refuse_file
 
     path = Path(place)
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
@@ -49,7 +49,18 @@ def export(
     motor_used, recording = motor_and_recording(path, motor)
     flux_map = with_magnet(flux_map, motor_used)
     caution = _caution(path)
-    return export_map(flux_map, motor_used, folder, formats or None, recording=recording, caution=caution)
+    ohm = motor_used.stator_resistance_ohm
+    resistance = resistance_basis(ohm, winding_c(path)) if ohm is not None and is_run(path) else ""
+    return export_map(
+        flux_map, motor_used, folder, formats or None, recording=recording, caution=caution, resistance=resistance
+    )
+
+
+def winding_c(path: Path) -> float | None:
+    """Temperature of the winding when a run began [°C]: that of the room; None where it is not known."""
+    from orchestrator.runs import RunDirectory, is_run
+
+    return RunDirectory.open(path).record.procedure.about.ambient_c if is_run(path) else None
 
 
 def _caution(path: Path) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.interface.api.analysing import Effects, chosen_effects
-from orchestrator.interface.api.exporting import motor_and_recording
+from orchestrator.interface.api.exporting import motor_and_recording, winding_c
 from orchestrator.interface.api.threads import one_thread
 from orchestrator.recording import has_model, read_model
 from protocols import Basis, InputError, Motor, Remark, Usability
@@ -92,7 +92,7 @@ def tune(
     assert ohm is not None
     std = std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
     magnet_per_k = None if magnet_percent_per_k is None else 0.01 * magnet_percent_per_k
-    machine = Machine(chosen, flux_map, ohm, std, _winding_c(path), magnet_per_k)
+    machine = Machine(chosen, flux_map, ohm, std, winding_c(path), magnet_per_k)
     limits = limits_of(machine, drive, **limits_given)
     compensation = no_compensation(limits.current_a)
     if model is not None and manifest is not None:
@@ -106,13 +106,6 @@ def tune(
         )
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))
     return write_tuning(tuning, folder, recording, remarks)
-
-
-def _winding_c(path: Path) -> float | None:
-    """Temperature of the winding when a run began [°C]: that of the room; None where it is not known."""
-    from orchestrator.runs import RunDirectory, is_run
-
-    return RunDirectory.open(path).record.procedure.about.ambient_c if is_run(path) else None
 
 
 def _injection_map(path: Path) -> FluxMap | None:

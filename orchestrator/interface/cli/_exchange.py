@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.config import load_motor
-from orchestrator.formatting.quantities import percent
 from orchestrator.importing import ENDINGS, ImportReport, import_files, merge_recordings, read_drive
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.interface import api
@@ -29,7 +28,6 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
         return 0
     for file in report.files:
         say(f"{file.format}: {file.path}", f"  {FORMATS[file.format]}")
-    say(f"{percent(report.measured_percent, 3)} of the grid was measured")
     say_notes(note for note in report.notes if note != report.caution)
     return 0
 

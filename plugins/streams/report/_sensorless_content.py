@@ -66,8 +66,8 @@ def _beside_tuning(material: Material) -> str:
     corrected = "" if left is None else f", {number(left, 3)}° corrected by the map"
     figures, limit = f"{number(tuning.injection_error_deg, 3)}°{corrected}", quantity(tuning.current_limit_a, "A")
     return (
-        f"The section on the drive has other figures ({figures}): they are over all currents within its limit of "
-        f"{limit}, interpolated between these points."
+        f"The section on the drive has other figures ({figures}): they are at its references of least current (MTPA) "
+        f"up to {limit}, with the inductances of its C code’s table."
     )
 
 

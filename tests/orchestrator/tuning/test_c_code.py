@@ -193,7 +193,7 @@ def test_a_temperature_that_nobody_gave_is_marked_as_assumed(tables: Tables, win
         header = next(text.decode() for file, text in files.items() if file.endswith(".h"))
         (line,) = (line for line in header.splitlines() if line.startswith(f"#define MOTOR_{name} "))
         assert value in line
-        assert ("/* assumed: no --ambient was given */" in line) == (winding_c is None)
+        assert ("/* assumed: `run --ambient` states it */" in line) == (winding_c is None)
 
 
 def test_an_invalid_resistance_counts_as_the_known_one(drive: Functions) -> None:

@@ -56,10 +56,13 @@ def limits(
     motor: Motor = MOTOR,
     operating: Array = MOTORING,
     current_a: float = LARGEST_A,
+    table: Callable[[Array], Array] | None = None,
 ) -> Sensorless:
     machine = Machine(motor, a_map, R_S_OHM, r_s_std_ohm)
     left = inverter(lost_std_v, bias_std_v)
-    return sensorless_limits(machine, left, current_a, operating, injection=injection, current_noise_a=current_noise_a)
+    return sensorless_limits(
+        machine, left, current_a, operating, injection=injection, current_noise_a=current_noise_a, table=table
+    )
 
 
 def with_axis(a_map: FluxMap, axis_rad: Callable[[Array, Array], Array], least_h: float, most_h: float) -> FluxMap:
@@ -169,6 +172,15 @@ def test_what_a_ripple_measures_is_tracked_and_the_maps_slopes_leave_the_differe
     assert found.injection_error_rad == pytest.approx(0.05)
     assert found.large_signal_error_rad == pytest.approx(0.0, abs=1e-6)
     assert found.left_by_map_rad == pytest.approx(0.05, abs=1e-6)
+
+
+def test_the_drives_own_table_leaves_what_it_differs_by_and_the_error_follows_the_references() -> None:
+    ripple = with_axis(LINEAR, lambda d, q: np.full_like(d, 0.05), 0.02, 0.04)
+    row = [float(np.asarray(one)[0, 0]) for one in (ripple.l_dd, ripple.l_dq, ripple.l_qq)]
+    found = limits(LINEAR, injection=ripple, table=lambda i_dq: np.tile(row, (len(i_dq), 1)))
+    assert found.left_by_map_rad == pytest.approx(0.0, abs=1e-6)
+    assert found.operating_error_rad == pytest.approx(0.05)
+    assert found.operating_works.all()
 
 
 def test_small_loops_that_are_flatter_in_all_directions_alike_leave_the_error_and_the_signal() -> None:

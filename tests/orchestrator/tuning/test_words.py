@@ -22,7 +22,8 @@ def a_report(**changed: object) -> TuningReport:
         "compensated": (), "left_out": {}, "lost_v": 0.0, "constant_inductance_error_percent": 1.0,
         "low_speed_rpm": 36.0, "harmonics_percent": 0.0, "harmonics_without_percent": 0.0,
         "injection_works_percent": 100.0, "injection_error_deg": 23.5, "injection_error_at_a": (0.4, 2.3),
-        "injection_left_by_map_deg": 0.295, "observer_speed_rpm": 45.0, "observer_speed_warm_rpm": 356.0,
+        "injection_within_limit_a": 0.66, "injection_left_by_map_deg": 0.295,
+        "observer_speed_rpm": 45.0, "observer_speed_warm_rpm": 356.0,
     }  # fmt: skip
     return TuningReport.model_validate(fields | changed)
 
@@ -35,35 +36,74 @@ def test_a_torque_that_the_speed_limit_ends_is_told_from_one_that_the_voltage_en
     assert rows["... left at the largest speed"] == "1.58 Nm at 4000 rpm"
 
 
-def test_position_errors_and_margins_name_their_speed_and_the_integral_part_its_limit() -> None:
+def test_injection_is_judged_by_a_stated_limit_and_its_error_has_its_remedy() -> None:
     rows = dict(figure_rows(a_report()))
-    assert rows["... position error"] == "at standstill up to 23.5° electrical, at (i_d, i_q) = (+0.400, +2.300) A"
-    assert "at standstill up to 0.295°" in rows["... corrected by the map"]
-    assert rows["... at the largest speed"] == "phase margin at least 58° at 1800 rpm"
-    assert "its output is limited to 227 V" in rows["... its integral part"]
+    assert rows["sensorless by injection"] == "usable up to 2.35 A along MTPA if its angle error is compensated"
+    assert rows["... as it is"].startswith("up to 660 mA along MTPA the angle error stays within the limit of 5°")
+    assert rows["... error to compensate"].startswith("up to 23.5°, at (+0.400, +2.300) A: subtract")
+    small = dict(figure_rows(a_report(injection_error_deg=0.3, injection_within_limit_a=2.35)))
+    assert small["sensorless by injection"] == (
+        "usable up to 2.35 A as it is: angle error 0.3° at most, within the limit of 5°"
+    )
+    assert "... error to compensate" not in small
+    left = dict(figure_rows(a_report(injection_left_by_map_deg=7.0)))
+    assert left["sensorless by injection"] == "usable up to 660 mA"
+
+
+def test_injection_that_works_nearly_nowhere_is_not_usable_on_this_motor() -> None:
+    rows = dict(figure_rows(a_report(injection_works_percent=1.7)))
+    assert rows["sensorless by injection"].startswith("not usable on this motor: the saliency suffices at 1.7 % of")
+    assert "... error to compensate" not in rows
+
+
+def test_where_the_saliency_ends_is_stated_along_the_references() -> None:
+    rows = dict(figure_rows(a_report(injection_works_percent=59.0, injection_fails_at_a=(-3.0, 4.0))))
+    assert rows["sensorless by injection"].startswith("usable below 5 A along MTPA if its angle error is")
+    assert rows["... beyond"].startswith("the saliency is too small")
 
 
 def test_an_observer_has_no_speed_below_what_drift_allows() -> None:
     rows = dict(figure_rows(a_report()))
-    assert rows["back-EMF observer"].startswith("position error below 5° electrical from 356 rpm on")
-    assert rows["... with R_s of the warm winding"] == "from 45 rpm on"
-    row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["... with R_s of the warm winding"]
+    assert rows["sensorless by back-EMF"].startswith("usable from 356 rpm on: angle error within 5°")
+    assert rows["... if R_s follows the winding"] == "from 45 rpm on"
+    row = dict(figure_rows(a_report(observer_speed_rpm=0.2)))["... if R_s follows the winding"]
     assert row == "from less than 18 rpm on, where drift and offsets decide; these are not counted"
 
 
-def test_gains_of_plain_controllers_and_the_time_that_a_leg_loses_are_stated() -> None:
-    more = {"k_p_v_per_a": (0.34, 0.5), "k_i_v_per_as": 253.0, "lost_v": 0.3, "lost_time_s": 625e-9, "pwm_hz": 1e4}
+def test_what_the_figures_rest_on_is_stated() -> None:
+    rows = dict(figure_rows(a_report(nameplate_magnet_wb=0.3, r_s_temperature_is_assumed=True)))
+    assert rows["R_s"].startswith("4.25 Ω a phase with the winding at 20 °C (assumed")
+    assert rows["... by the magnet's flux"].startswith("300 mWb, copied from the nameplate, not from a measurement")
+    rows = dict(figure_rows(a_report()))
+    assert "assumed" not in rows["R_s"]
+    assert "... by the magnet's flux" not in rows
+
+
+def test_the_control_of_flux_and_the_gains_of_plain_controllers_stand_apart() -> None:
+    more = {
+        "k_p_v_per_a": (0.34, 0.5), "k_i_v_per_as": 253.0, "least_inductance_h": (1e-3, 2e-3),
+        "least_inductance_at_a": ((2.0, 0.0), (0.0, 2.0)), "rest_inductance_h": (1e-3, 4e-3),
+    }  # fmt: skip
     rows = dict(figure_rows(a_report(**more)))
-    assert rows["... as plain PI controllers"] == "k_p 0.34 V/A for i_d, 0.5 V/A for i_q; k_i 253 V/(A s)"
-    assert rows["inverter's loss"] == "up to 300 mV a leg; as a dead time 625 ns at 10 kHz PWM"
+    assert rows["flux control in the C code"].startswith("bandwidth 448 Hz at every current; phase margin at least 60°")
+    assert rows["PI current control instead"].startswith("k_p = 2π 448 Hz · L and k_i = 2π 448 Hz · R_s")
+    assert rows["... k_p of i_d"] == "0.34 V/A by L_d = 1 mH"
+    assert rows["... k_p of i_q"] == (
+        "0.5 V/A by L_q = 2 mH, the least, at (+0.000, +2.000) A; without current 4 mH, so 224 Hz"
+    )
+
+
+def test_the_part_of_the_loss_that_is_a_time_is_told_from_the_other() -> None:
+    more = {"compensated": ("dead_time",), "lost_v": 1.19, "lost_time_s": 203e-9, "pwm_hz": 1e4}
+    rows = dict(figure_rows(a_report(**more, lost_in_proportion_to_bus_v=0.8)))
+    assert rows["inverter's loss"] == "1.19 V a leg at 2.35 A and 394 V bus"
+    assert rows["... in proportion to the bus"] == "800 mV: effective dead time 203 ns at 10 kHz PWM"
+    assert rows["... at any bus voltage"].startswith("390 mV: this is no dead time")
+    alone = dict(figure_rows(a_report(**more, lost_in_proportion_to_bus_v=1.19)))
+    assert alone["... in proportion to the bus"] == "all of it: effective dead time 203 ns at 10 kHz PWM"
+    assert "... at any bus voltage" not in alone
     assert headline(a_report(**more, sampling_hz=2e4)).endswith("control at 20000 Hz, PWM at 10000 Hz")
     assert "PWM" not in headline(a_report(**more))
-
-
-def test_injection_that_works_nearly_nowhere_does_not_work_on_this_motor() -> None:
-    rows = dict(figure_rows(a_report(injection_works_percent=1.7)))
-    assert rows["tracking by injection"].startswith("does not work on this motor: the saliency suffices at 1.7 % of")
-    assert "... position error" not in rows
 
 
 def test_each_file_has_its_content_beside_it() -> None:
@@ -72,14 +112,6 @@ def test_each_file_has_its_content_beside_it() -> None:
     assert list(rows) == ["tuning.json", "torque.csv", "m_drive.c", "m_drive_int32.c", "vesc.txt"]
     assert all(rows.values())
     assert "int32" in rows["m_drive_int32.c"]
-
-
-def test_where_tracking_fails_is_stated_along_the_references() -> None:
-    part = {"injection_works_percent": 59.0}
-    rows = dict(figure_rows(a_report(**part, injection_fails_at_a=(-3.0, 4.0))))
-    assert "works below (i_d, i_q) = (−3.000, +4.000) A, 5 A" in rows["... along the references"]
-    assert dict(figure_rows(a_report(**part)))["... along the references"].startswith("works at all of them")
-    assert "... along the references" not in dict(figure_rows(a_report()))
 
 
 def test_the_ripple_of_a_wave_is_what_its_fundamental_leaves() -> None:

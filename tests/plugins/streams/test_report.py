@@ -568,7 +568,7 @@ def test_of_two_figures_for_one_error_the_page_says_why_they_differ(finished: Pa
     assert "section on the drive" not in sensorless.note(material)
     beside = sensorless.note(replace(material, tuning=a_tuning(current_limit_a=2.35, injection_error_deg=23.5)))
     assert "other figures (23.5°, 0.295° corrected by the map)" in beside
-    assert "over all currents within its limit of 2.35 A" in beside
+    assert "at its references of least current (MTPA) up to 2.35 A" in beside
 
 
 @pytest.mark.slow

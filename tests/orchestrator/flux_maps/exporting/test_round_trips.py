@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.io import loadmat
 
 from orchestrator.estimation import load_flux_map
-from orchestrator.flux_maps import load_map
+from orchestrator.flux_maps import load_map, resistance_basis
 from orchestrator.flux_maps.exporting import FORMATS, ExportReport, export_map, invert, mtpa, torque_nm
 from protocols import FluxMap, InputError, Motor, StorageError
 from tests.orchestrator.flux_maps.exporting.machines import MOTOR, POLE_PAIRS, linear_map, saturated_map, shipped
@@ -151,6 +151,14 @@ def test_a_magnet_that_a_locked_rotor_cannot_show_is_stated_to_be_missing(tmp_pa
     unknown = Motor(name="unknown", pole_pairs=2)
     assert any("magnet" in note for note in export_map(linear_map(psi_m=0.0), unknown, tmp_path, ["csv"]).notes)
     assert not any("magnet" in note for note in export_map(linear_map(), unknown, tmp_path, ["csv"]).notes)
+
+
+def test_a_header_states_the_temperature_of_r_s_and_a_magnet_that_was_copied(tmp_path: Path) -> None:
+    export_map(linear_map(), MOTOR, tmp_path, ["c"], resistance=resistance_basis(4.25, 35.0))
+    header = (tmp_path / "flux_map.h").read_text(encoding="ascii")
+    assert "R_s: 4.25 ohm a phase with the winding at 35 degC" in header
+    assert "300 mWb, copied from the nameplate, not from a measurement" in header
+    assert "lookup of psi" not in header
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.estimation import save_flux_map
 from orchestrator.interface import api
-from orchestrator.interface.api.tuning import _winding_c
+from orchestrator.interface.api.exporting import winding_c
 from orchestrator.runs import RunDirectory
 from protocols import FluxMap, InputError, Motor
 from tests.orchestrator.tuning.machines import flux_map, saturated
@@ -129,9 +129,9 @@ def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> 
     assert done.returncode == 0
     for figure in (
         "largest torque",
-        "phase margin 60°",
-        "tracking by injection",
-        "back-EMF observer",
+        "phase margin at least 60°",
+        "sensorless by injection",
+        "sensorless by back-EMF",
         "test_motor_1_drive.c",
     ):
         assert figure in done.stdout
@@ -145,8 +145,8 @@ def test_resistance_holds_at_the_room_s_temperature_of_the_run_where_it_is_known
     warm = plain.model_copy(update={"about": plain.about.model_copy(update={"ambient_c": 35.0})})
     for name, procedure, expected in (("plain", plain, None), ("warm", warm, 35.0)):
         RunDirectory.create(tmp_path / name, procedure, CAPABILITIES)
-        assert _winding_c(tmp_path / name) == expected
-    assert _winding_c(tmp_path / "map.nc") is None
+        assert winding_c(tmp_path / name) == expected
+    assert winding_c(tmp_path / "map.nc") is None
 
 
 @pytest.mark.slow
