@@ -237,8 +237,6 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         grid = replace(fit.model.space.grid, cells=(intervals, intervals))
         finer = finer_map(setup, fitter, fit, grid)
         fit = fit if finer is None else finer
-    if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1]:
-        return fit
     smooth = _refine_further(setup, fitter, fit)
     kinked = _refined_with_kink(setup, fitter, fit) if smooth.chi2_per_dof > LEAST_CHI2_FOR_KINK else None
     best = smooth if kinked is None else max(smooth, kinked, key=map_log_evidence)
@@ -357,9 +355,8 @@ def map_log_evidence(fit: Fit) -> float:
     -1/2 (J + log det N - log det P), N the normal matrix with the prior, P the prior's own; unlike J alone it compares
     maps of different grids, roughness and kink (D. MacKay, doi:10.1162/neco.1992.4.3.415).
     """
-    prior = np.linalg.qr(fit.model.space.prior, mode="r")
-    log_det_prior = 2.0 * float(np.log(np.abs(np.diag(prior))).sum())
-    return -0.5 * (fit.objective + float(np.linalg.slogdet(fit.normal)[1]) - log_det_prior)
+    log_det_normal = float(np.linalg.slogdet(fit.normal)[1])
+    return -0.5 * (fit.objective + log_det_normal - fit.model.space.log_det_prior)
 
 
 def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> list[EvenSpline]:

@@ -16,6 +16,7 @@ from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
+from orchestrator.numerics.local_rows import triangular_factor
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import RealArray, SignalBatch, Signals
@@ -50,6 +51,12 @@ class MapSpace:
         """Whether every coefficient is free."""
         rows, columns = self.directions.shape
         return rows == columns and bool(np.array_equal(self.directions, np.eye(rows)))
+
+    @cached_property
+    def log_det_prior(self) -> float:
+        """log det of the prior's normal matrix, of a free map."""
+        factor = triangular_factor(self.prior, self.grid.functions[1])
+        return 2.0 * float(np.log(np.abs(np.diag(factor))).sum())
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,12 @@ No node is smoother than usual: that would make the map's band too narrow betwee
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.solution import free_coefficients
 from orchestrator.diagnosis.weak_form.magnetics import ORDER_OF_SMOOTHNESS, shares_of_nodes
+from orchestrator.numerics.local_rows import triangular_factor
 from orchestrator.numerics.types import Array
 
 NODES: tuple[int, int] = (5, 4)
@@ -55,7 +57,9 @@ def estimated_roughness(fit: Fit) -> Array:
         covariance = np.linalg.inv(normal)
         derivatives = smooth @ (covariance @ right)[1:]
         by_posterior = shares.T @ (derivatives**2 + np.sum((smooth @ covariance[1:, 1:]) * smooth, axis=1))
-        by_prior = shares.T @ np.sum(np.linalg.qr(prior)[0][:rows] ** 2, axis=1)
+        factor = triangular_factor(prior, space.grid.functions[1])
+        leverage = solve_triangular(factor, smooth.T, trans="T", check_finite=False)
+        by_prior = shares.T @ np.sum(leverage**2, axis=0)
         slope = 0.5 * (by_prior - by_posterior) - theta / STD_OF_LOG_PRECISION**2
         step = slope / (0.5 * np.maximum(by_prior, by_posterior) + 1.0 / STD_OF_LOG_PRECISION**2)
         theta = np.minimum(theta + step, 0.0)
