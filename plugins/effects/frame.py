@@ -12,7 +12,8 @@ from scipy.signal import cont2discrete, lfilter_zi, ss2tf
 from orchestrator.numerics.types import Array
 from plugins.effects._batches import BatchEffect, by_value
 from plugins.effects._filters import low_pass, second_order
-from plugins.effects._vectors import doubles
+from plugins.effects._flux import typical_inductance
+from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude, refinement, shape
 
 
@@ -49,9 +50,12 @@ class BrakeCompliance(BatchEffect):
 
     kappa is in electrical radians per Nm.
 
-    The twist rotates the magnet's flux and induces a voltage. It lags the torque due to friction; without a lag it
+    The twist rotates the magnet's flux and induces a voltage. It lags the torque by viscous friction; without a lag it
     would be equivalent to a q-axis inductance. In the flexible form the rotor has inertia and oscillates on the brake's
-    spring, delta + lag_s delta' + inertia_s2 delta'' = kappa T_e.
+    spring, delta + lag_s delta' + inertia_s2 delta'' = kappa T_e. Dry friction, `friction_nm`, holds it where it is
+    until the torque has changed by twice as much; the part `elastic` of the twist follows before it slides.
+    Sources: a spring beside friction is a play operator, M. Brokate, J. Sprekels, doi:10.1007/978-1-4612-4048-8; what
+    follows before it slides: P. Dahl, doi:10.2514/3.61511.
     """
 
     name: ClassVar[str] = "brake_compliance"
@@ -68,12 +72,16 @@ class BrakeCompliance(BatchEffect):
         rad_per_nm: float = amplitude("rad/Nm", typical=0.005, prior_width=0.01, low=0.0, high=0.1)
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
         inertia_s2: float = refinement("s^2", neutral=0.0, prior_width=1e-6, low=0.0, high=1e-3, other_form=3e-8)
+        friction_nm: float = refinement("Nm", neutral=0.0, prior_width=0.3, low=0.0, high=10.0, other_form=0.1)
+        elastic: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Add the twist to the angle; nothing changes without a flux in the signals."""
         torque = _torque_nm(batch)
         if torque is None:
             return Correction()
+        if p.friction_nm > 0.0:
+            torque = _after_friction(torque, p.friction_nm, p.elastic, batch)
         twist = _swinging(torque, p.lag_s, p.inertia_s2, batch)
         twist *= p.rad_per_nm
         twist += batch.theta_rad
@@ -144,6 +152,45 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
     out = np.empty(psi_ab.shape[0])
     for k in range(psi_ab.shape[0]):
         out[k] = factor * (psi_ab[k, 0] * i_ab[k, 1] - psi_ab[k, 1] * i_ab[k, 0])
+    return out
+
+
+def _after_friction(torque_nm: Array, friction_nm: float, elastic: float, batch: SignalBatch) -> Array:
+    """The torque (N,) that reaches the brake's spring: a play, and the part `elastic` of what acts."""
+    came_from = [np.zeros((0, 2)) if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
+    corners = np.array([len(one) for one in came_from])
+    first = batch.starts[:-1]
+    i_ab, psi_ab = batch.i_ab[first].repeat(corners, axis=0), batch.psi_ab[first].repeat(corners, axis=0)
+    at = np.concatenate(came_from)
+    flux = psi_ab + typical_inductance(batch).repeat(corners)[:, None] * (at - i_ab)
+    before = _torques(doubles(flux), doubles(at), 1.5 * (batch.motor.pole_pairs if batch.motor is not None else 1))
+    slid = _slid(torque_nm, batch.starts, before, np.append(0, np.cumsum(corners)), friction_nm)
+    return np.asarray(slid + elastic * (torque_nm - slid))
+
+
+@njit(cache=True, nogil=True)
+def _slid(x: Array, starts: Starts, before: Array, before_starts: Starts, half_width: float) -> Array:
+    """Play operator of x (N,), segment by segment.
+
+    Parameters
+    ----------
+    before, before_starts : array
+        What preceded each segment, oldest first; the play begins in its middle. Of a segment without any, its end did.
+    """
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        first, end = before_starts[s], before_starts[s + 1]
+        if end > first:
+            y = before[first]
+            for k in range(first, end):
+                y = max(before[k] - half_width, min(before[k] + half_width, y))
+        else:
+            y = x[starts[s + 1] - 1]
+            for k in range(starts[s], starts[s + 1]):
+                y = max(x[k] - half_width, min(x[k] + half_width, y))
+        for k in range(starts[s], starts[s + 1]):
+            y = max(x[k] - half_width, min(x[k] + half_width, y))
+            out[k] = y
     return out
 
 

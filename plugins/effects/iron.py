@@ -58,8 +58,8 @@ class EddyCurrents(BatchEffect):
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
         lag_s: float = shape("s", typical=5e-5, prior_width=1.5, low=1e-6, high=5e-3)
-        slower: float = refinement("1", neutral=0.0, prior_width=1.0, low=0.0, high=4.0)
-        faster: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
+        slower: float = refinement("1", neutral=0.0, prior_width=1.0, low=0.0, high=4.0, other_form=0.5)
+        faster: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=0.5)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
