@@ -32,12 +32,20 @@ class Contribution:
         Its rms over the rms voltage of the same kind of rows.
     relative_to_flux : float
         Its rms change of the flux at the measured currents, over the rated flux.
+    relative_to_misfit : float
+        Root of the rise of chi2 over the first model's excess chi2: unlike volts, comparable with what is left.
     """
 
     relative_to_error: float
     largest_in: str | None
     relative_to_excitation: float
     relative_to_flux: float
+    relative_to_misfit: float
+
+    @property
+    def share(self) -> float:
+        """Part of the first error that it takes away, in volts or in chi2, whichever shows it better."""
+        return max(self.relative_to_error, self.relative_to_misfit)
 
 
 def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Contribution]:
@@ -46,6 +54,7 @@ def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Con
     volts = _by_kind(last, _voltages(last))
     rated, points = rated_flux_wb(setup), mean_currents(last)
     flux = last.model.magnetics.flux_and_inductance(points)[0]
+    misfit = max(first.chi2_per_dof - 1.0, np.finfo(float).tiny)
     found = {}
     for name in last.model.names:
         without = without_effect(fitter, last, name)
@@ -59,6 +68,7 @@ def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Con
             largest_in=largest_in,
             relative_to_excitation=max((sizes[kind] / volts[kind] for kind in sizes if volts[kind] > 0.0), default=0.0),
             relative_to_flux=float(np.sqrt(np.mean(np.sum((moved - moved.mean(axis=0)) ** 2, axis=1)))) / rated,
+            relative_to_misfit=math.sqrt(max(without.chi2_per_dof - last.chi2_per_dof, 0.0) / misfit),
         )
     return found
 

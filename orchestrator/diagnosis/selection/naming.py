@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +47,7 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     gains = {step.added: step.log_evidence for step in steps if step.added is not None} | dict(state.gains)
     sizes = {} if state.is_explained else contributions(state.setup, first, whole)
     limit = _imitable_share(first, whole)
-    below = tuple(n for n in names if n in sizes and sizes[n].relative_to_error <= limit)
+    below = tuple(n for n in names if n in sizes and sizes[n].share <= limit)
     for name in below:
         _record_name(state, name, sizes[name], limit, taken=False, note=IMITABLE)
     causes = [n for n in names if n not in below]
@@ -62,7 +62,7 @@ def _record_name(
         [name],
         after=state.fit,
         measure="share",
-        score=size.relative_to_error,
+        score=size.share,
         threshold=least_share,
         taken=taken,
         note=note,
@@ -87,11 +87,12 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     order = sorted(whole.model.names, key=lambda name: -sizes[name].relative_to_error)
     rest = residual_fraction_of(first.chi2_per_dof, whole)
     min_share = max(state.limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * rest)
-    imitable, absent = _imitable_share(first, whole), possibly_absent(state.fitter, whole)
+    imitable = _imitable_share(first, whole)
+    absent = [name for name in possibly_absent(state.fitter, whole) if name not in state.needed]
     notes = dict.fromkeys(absent, "its 95 % interval contains no effect at all")
-    notes |= {n: IMITABLE for n in order if sizes[n].relative_to_error <= imitable}
+    notes |= {n: IMITABLE for n in order if sizes[n].share <= imitable}
     clear = [n for n in order if n not in notes]
-    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)]
+    causes = [n for n in clear if sizes[n].share > min_share or is_material(sizes[n], whole)]
     for name in order:
         _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
     below = tuple(n for n in order if n not in causes)
@@ -125,28 +126,36 @@ def _beside(state: SearchState) -> tuple[list[str], dict[str, list[str]]]:
     return detected, {name: list(others) for name, others in state.indistinguishable.items() if name in present}
 
 
-def drop_confounded(fitter: Fitter, search: SearchResult) -> SearchResult:
+def drop_confounded(fitter: Fitter, search: SearchResult, needed: Collection[str]) -> SearchResult:
     """The search without doubtful causes of a joint fit.
 
     While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual
     allows, if it explains less than the residual, if its interval contains its absence, or if it removes so much that
     another effect must balance it. All stay in the model. Where no effect is significant, all are rejected.
+
+    Parameters
+    ----------
+    needed : collection of str
+        Effects without which a refit was refused, whose absence no interval makes possible: where a size and a form are
+        confounded, intervals from a linear model are far too wide.
     """
     first, last = search.steps[0].fit, search.fit
-    if search.contributions and is_none_significant(fitter, search.fit):
+    if search.contributions and not needed and is_none_significant(fitter, search.fit):
         fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
         return SearchResult(baseline_models(search.steps), search.detected_not_named, doubtful=last.model.names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
         return search
     drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
-    causes, absent = [n for n in last.model.names if n not in search.below_materiality], possibly_absent(fitter, last)
-    taken = {n: search.contributions[n].relative_to_error for n in causes}
+    causes = [n for n in last.model.names if n not in search.below_materiality]
+    absent = [name for name in possibly_absent(fitter, last) if name not in needed]
+    contributed = search.contributions
+    taken = {n: contributed[n].relative_to_error for n in causes}
     limit = MAX_RELATIVE_SCATTER
     unsteady = [n for n in causes if drift[n] > limit and residual > limit * min(taken[n], 1.0)]
     several = sum(share.relative_to_error > MAX_SHARE_OF_ERROR_OF_PAIR for share in search.contributions.values()) > 1
     max_share = MAX_SHARE_OF_ERROR_OF_PAIR if several else MAX_SHARE_OF_ERROR
     balanced = [n for n in causes if taken[n] > max_share]
-    doubtful = [n for n in causes if n in unsteady or taken[n] < residual or n in absent or n in balanced]
+    doubtful = [n for n in causes if n in unsteady or contributed[n].share < residual or n in absent or n in balanced]
     for name in doubtful:
         note = next(
             text

@@ -255,7 +255,7 @@ def redundant_terms(fit: Fit) -> list[str]:
 def without_effect(fitter: Fitter, fit: Fit, name: str) -> Fit:
     """R_s and the map refitted without one effect, the other effects fixed."""
     others = [replace(a, free=()) for a in fit.model.active if a.name != name]
-    return fitter.evaluate(fit.model.with_active(others), fit.linearisation)
+    return fitter.relinearise(fit.model.with_active(others), fit.linearisation)
 
 
 def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect) -> float:

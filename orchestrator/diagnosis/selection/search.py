@@ -13,7 +13,7 @@ from functools import partial
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
+from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, min_gain_of_all, record_screen
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
@@ -142,12 +142,13 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         yield from first_map_moves(state, next((m for m in cheap if m not in waiting), None))
     yield from (m for m in cheap if m not in waiting)
     if not state.is_explained:
-        yield from noise_moves(state, library)
+        # Of an effect in the wrong form, scatter between segments would be counted as noise.
         if not state.is_joint:
             yield from form_moves(state)
+        yield from noise_moves(state, library)
         yield from map_moves(state)
-    if everything > 2.0 * state.limits.log_evidence * state.noise:
-        yield Move("full_model", (), partial(_add_all, state, library))
+    if everything > min_gain_of_all(state):
+        yield Move("full_model", (), partial(_add_all, state, library, everything))
     yield from waiting
     yield from remove_moves(state)
     if state.is_joint:
@@ -171,9 +172,9 @@ def _freeable(state: SearchState, library: Library) -> list[tuple[EffectTerm, st
     return [] if is_settled else fixed_parameters(state.fit.model)
 
 
-def _add_all(state: SearchState, library: Library) -> SearchState:
+def _add_all(state: SearchState, library: Library, gain: float) -> SearchState:
     state.setup.fitter.begin(f"fitting {len(library)} effects together", EVALUATIONS_LEFT_PER_EFFECT * len(library))
-    return full_model(state, library)
+    return full_model(state, library, gain)
 
 
 def _with_quantiser(
@@ -219,13 +220,15 @@ def on_whole(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchState:
 
 def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
     """The ladder of a whole recording's model."""
-    steps = refit_steps(state.setup, steps)
-    if state.is_joint and state.fit.model.active:
-        return drop_confounded(state.fitter, build_ladder(state, steps))
-    if not state.is_joint and state.fit.model.active:
-        fit = state.fitter.fit(state.fit.model, state.fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
-        state = replace(state, fit=fit)
-    return plain_ladder(state, steps)
+    steps, fit = refit_steps(state.setup, steps), state.fit
+    if not fit.model.active:
+        return plain_ladder(state, steps)
+    if state.is_joint:
+        # The last move may have left the map's equations linearised elsewhere.
+        state = replace(state, fit=state.minimum(fit.model, rounds=MAX_SHAPE_ROUNDS))
+        return drop_confounded(state.fitter, build_ladder(state, steps), state.needed)
+    fit = state.fitter.fit(fit.model, fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
+    return plain_ladder(replace(state, fit=fit), steps)
 
 
 def with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Fit:
