@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import left_of_excitation
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
-from orchestrator.diagnosis.judgement.verdict import most_strained
+from orchestrator.diagnosis.judgement.verdict import held_out_chi2, most_strained
 from orchestrator.diagnosis.reporting.findings import size_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from orchestrator.formatting.names import plain
@@ -124,6 +124,10 @@ def objections_to(
     if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
         text = "{left_percent:.2g} % of the voltage of one kind of stage is left unexplained: `compare` shows which"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
+    between = held_out_chi2(fit)
+    if verdict not in EXPLAINED and between is not None and between - 1.0 > limits.verdict.immaterial_excess_chi2:
+        text = "the stages that were not fitted have chi2 {chi2:.2g}: between the fitted points the map is wrong"
+        against.append(Remark.of("wrong_between_points", text, chi2=between))
     largest = max(moved, key=lambda name: moved[name], default=None)
     max_percent = limits.verdict.widest_band_percent
     if verdict == "unknown_remains" and largest is not None and 100.0 * moved[largest] > max_percent:

@@ -78,13 +78,14 @@ def min_gain_of_all(state: SearchState) -> float:
     return max(2.0 * state.limits.log_evidence * state.noise, share * (state.fit.chi2 - state.fit.dof))
 
 
-def full_model(state: SearchState, library: Library, gain: float) -> SearchState:
-    """The amplitudes of all effects of the library, fitted together, whose predicted gain is given."""
+def full_model(state: SearchState, library: Library, gain: float | None = None) -> SearchState:
+    """The amplitudes of all effects of the library, fitted together; `gain` is what was predicted of them, if known."""
     present = {active.name: active for active in state.fit.model.active}
     model = state.fit.model.with_active([present.get(c.name, c.absent()) for c in library])
     joint = replace(state, is_joint=True, refused=())
     fit = joint.minimum(model)
-    state.record("full_model", fit.model.names, fit, gain, min_gain_of_all(state), measure="chi2", taken=True)
+    least = None if gain is None else min_gain_of_all(state)
+    state.record("full_model", fit.model.names, fit, gain, least, measure="chi2", taken=True)
     return joint.after(fit)
 
 

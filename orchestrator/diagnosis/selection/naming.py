@@ -126,7 +126,7 @@ def _beside(state: SearchState) -> tuple[list[str], dict[str, list[str]]]:
     return detected, {name: list(others) for name, others in state.indistinguishable.items() if name in present}
 
 
-def drop_confounded(fitter: Fitter, search: SearchResult, needed: Collection[str]) -> SearchResult:
+def drop_confounded(fitter: Fitter, search: SearchResult, needed: Collection[str] = ()) -> SearchResult:
     """The search without doubtful causes of a joint fit.
 
     While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual

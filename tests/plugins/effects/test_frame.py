@@ -71,3 +71,32 @@ def test_a_rotor_at_rest_stays_at_rest_whatever_its_inertia(hz: float, lag_s: fl
     signals = replace(signals, psi_ab=0.3 * along, sampling_frequency_hz=hz)
     out = corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=inertia_s2)
     assert_close(out.theta_rad - 0.2, np.full(400, 0.005 * 1.5 * 2 * 0.3 * 2.0), 1e-6, of=[0.01])
+
+
+@pytest.mark.parametrize("friction_nm", [0.1, 0.5, 1.5])
+@pytest.mark.parametrize("elastic", [0.0, 0.3])
+def test_a_brake_with_dry_friction_loses_its_work_at_each_turn(friction_nm: float, elastic: float) -> None:
+    """The loop of torque and twist has the area 4 F (T - F) kappa of a spring behind a friction F; none below it."""
+    n, period = 4000, 1000
+    along = np.tile([math.cos(0.2), math.sin(0.2)], (n, 1))
+    wave = np.sin(2.0 * math.pi * np.arange(n) / period)
+    signals = reads(readings(n), wave[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1))
+    signals = replace(signals, psi_ab=0.3 * along)
+    parameters = {"rad_per_nm": 0.005, "lag_s": 1e-5, "friction_nm": friction_nm, "elastic": elastic}
+    twist = corrected(BrakeCompliance(), signals, **parameters).theta_rad - 0.2
+    largest = 1.5 * 2 * 0.3
+    slides = max(largest - friction_nm, 0.0)
+    area = float(np.sum(twist[-period:] * np.gradient(largest * wave)[-period:]))
+    assert abs(area) == pytest.approx(4.0 * friction_nm * slides * 0.005 * (1.0 - elastic), rel=0.01, abs=1e-5)
+    reached = 0.005 * (elastic * largest + (1.0 - elastic) * slides)
+    assert np.ptp(twist[-period:]) == pytest.approx(2.0 * reached, rel=0.01, abs=1e-9)
+
+
+def test_a_brake_with_dry_friction_remembers_from_where_the_torque_came() -> None:
+    along = np.tile([math.cos(0.2), math.sin(0.2)], (400, 1))
+    across = np.array([-math.sin(0.2), math.cos(0.2)])
+    signals = replace(reads(readings(), np.tile(2.0 * across, (400, 1))), psi_ab=0.3 * along)
+    for came_from_a, sign in ((0.0, -1.0), (4.0, 1.0)):
+        at = replace(signals, came_from_ab=came_from_a * across[None])
+        twist = corrected(BrakeCompliance(), at, rad_per_nm=0.005, lag_s=1e-5, friction_nm=0.2).theta_rad - 0.2
+        assert_close(twist, np.full(400, 0.005 * (1.5 * 2 * 0.3 * 2.0 + sign * 0.2)), 1e-6, of=[0.01])

@@ -76,3 +76,11 @@ def test_an_effect_that_alone_widens_the_band_is_named_with_the_band_without_it(
     )
     (besides,) = objections_to(fit, None, 1.5, {}, ("own_drop", 1.4))
     assert "own drop" not in besides.text
+
+
+def test_stages_that_were_not_fitted_speak_against_a_map_that_is_wrong_between_its_points(fit: Fit) -> None:
+    residuals = zip(fit.prepared.pieces, fit.residual, strict=True)
+    wrong = replace(fit, residual=tuple(5.0 * e if piece.held_out else e for piece, e in residuals))
+    assert "wrong_between_points" in _codes(wrong, "unknown_remains")
+    assert "wrong_between_points" not in _codes(fit, "unknown_remains")
+    assert _codes(wrong, "explained") == []
