@@ -72,20 +72,13 @@ def sub_threshold_effects(state: SearchState, view: LinearView) -> list[str]:
     return [s.candidate.name for s in score(view)[:3] if s.gain > _significant(state, s, state.noise)]
 
 
-def min_gain_of_all(state: SearchState) -> float:
-    """Linear gain required of all absent effects together: significant, and the part of what is left as of one."""
-    share = 0.5 * MIN_SHARE_OF_EXCESS
-    return max(2.0 * state.limits.log_evidence * state.noise, share * (state.fit.chi2 - state.fit.dof))
-
-
-def full_model(state: SearchState, library: Library, gain: float | None = None) -> SearchState:
-    """The amplitudes of all effects of the library, fitted together; `gain` is what was predicted of them, if known."""
+def full_model(state: SearchState, library: Library) -> SearchState:
+    """The amplitudes of all effects of the library, fitted together."""
     present = {active.name: active for active in state.fit.model.active}
     model = state.fit.model.with_active([present.get(c.name, c.absent()) for c in library])
     joint = replace(state, is_joint=True, refused=())
     fit = joint.minimum(model)
-    least = None if gain is None else min_gain_of_all(state)
-    state.record("full_model", fit.model.names, fit, gain, least, measure="chi2", taken=True)
+    state.record("full_model", fit.model.names, fit, None, None, taken=True)
     return joint.after(fit)
 
 

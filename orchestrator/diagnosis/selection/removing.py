@@ -74,21 +74,16 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
 
 
 def other_form_moves(state: SearchState) -> Iterator[Move]:
-    """Remove effects that are rather another's form, by the evidence of a mixture of the others' forms.
-
-    Each alone, the weakest first, and all but the strongest together: two may make up for one form.
-    """
+    """Remove an effect that is rather another one's form, by the evidence of a mixture of the others' forms."""
     others = len(state.fit.model.active) - 1
     if not state.is_part and 1 <= others < MAX_EFFECTS_IN_OTHER_FORMS:
         factors = log_bayes_factors(state.fit)
-        order = sorted(factors, key=lambda name: factors[name])
-        groups = [[name] for name in order] + ([order[:-1]] if others > 1 else [])
-        for names in groups:
-            yield Move("remove", (*names, "form"), partial(_remove_other_form, state, names), is_once=True)
+        for name in sorted(factors, key=lambda name: factors[name]):
+            yield Move("remove", (name, "form"), partial(_remove_other_form, state, name), is_once=True)
 
 
-def _remove_other_form(state: SearchState, names: Sequence[str]) -> SearchState | None:
-    trial = _without(state, names)
+def _remove_other_form(state: SearchState, name: str) -> SearchState | None:
+    trial = _without(state, [name])
     if trial.chi2_per_dof - 1.0 > state.fit.criteria.verdict.immaterial_excess_chi2:
         return None
     mixture = mix_forms(state.fitter, trial, trial.model.names)
@@ -97,8 +92,8 @@ def _remove_other_form(state: SearchState, names: Sequence[str]) -> SearchState 
     worth, by_forms = evidence_gain(state.fit, trial), mixture.log_evidence / state.noise
     taken = by_forms > worth
     note = f"another form of {listed([plain(n) for n in mixture.effects])} has more evidence" if taken else ""
-    state.record("remove", tuple(names), trial, by_forms - worth, 0.0, taken=taken, note=note)
-    return replace(state.after(trial), refused=(*state.refused, *names)) if taken else None
+    state.record("remove", (name,), trial, by_forms - worth, 0.0, taken=taken, note=note)
+    return replace(state.after(trial), refused=(*state.refused, name)) if taken else None
 
 
 def _without(state: SearchState, names: Sequence[str]) -> Fit:

@@ -13,7 +13,7 @@ from functools import partial
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, min_gain_of_all, record_screen
+from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
@@ -142,13 +142,12 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         yield from first_map_moves(state, next((m for m in cheap if m not in waiting), None))
     yield from (m for m in cheap if m not in waiting)
     if not state.is_explained:
-        # Of an effect in the wrong form, scatter between segments would be counted as noise.
+        yield from noise_moves(state, library)
         if not state.is_joint:
             yield from form_moves(state)
-        yield from noise_moves(state, library)
         yield from map_moves(state)
-    if everything > min_gain_of_all(state):
-        yield Move("full_model", (), partial(_add_all, state, library, everything))
+    if everything > 2.0 * state.limits.log_evidence * state.noise:
+        yield Move("full_model", (), partial(_add_all, state, library))
     yield from waiting
     yield from remove_moves(state)
     if state.is_joint:
@@ -172,9 +171,9 @@ def _freeable(state: SearchState, library: Library) -> list[tuple[EffectTerm, st
     return [] if is_settled else fixed_parameters(state.fit.model)
 
 
-def _add_all(state: SearchState, library: Library, gain: float) -> SearchState:
+def _add_all(state: SearchState, library: Library) -> SearchState:
     state.setup.fitter.begin(f"fitting {len(library)} effects together", EVALUATIONS_LEFT_PER_EFFECT * len(library))
-    return full_model(state, library, gain)
+    return full_model(state, library)
 
 
 def _with_quantiser(
