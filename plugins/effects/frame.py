@@ -14,7 +14,17 @@ from plugins.effects._batches import BatchEffect, by_value
 from plugins.effects._filters import low_pass, second_order
 from plugins.effects._flux import typical_inductance
 from plugins.effects._vectors import Starts, doubles
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude, refinement, shape
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    RealArray,
+    SignalBatch,
+    amplitude,
+    refinement,
+    shape,
+)
 
 
 class RotorMisalignment(BatchEffect):
@@ -137,14 +147,20 @@ def _ends(torque_nm: Array, friction_nm: float, softness: float) -> Array:
 
 def _torque_nm(batch: SignalBatch) -> Array | None:
     """T_e = 3/2 n (psi_d i_q - psi_q i_d), shape (N,); None without a flux."""
-    # A torque with the readings' noise would rotate the frame at every sample.
-    psi, i = batch.psi_smooth_ab, batch.i_smooth_ab
-    if psi is None or i is None:
-        psi, i = batch.psi_ab, batch.i_ab
-    if psi is None:
-        return None
+    psi, i = _flux_and_current(batch)
+    return None if psi is None else _torque_of(psi, i, batch)
+
+
+def _flux_and_current(batch: SignalBatch) -> tuple[RealArray | None, RealArray]:
+    """Flux and current of the torque, both (N, 2): with the readings' noise it would rotate the frame at every one."""
+    if batch.psi_smooth_ab is None or batch.i_smooth_ab is None:
+        return batch.psi_ab, batch.i_ab
+    return batch.psi_smooth_ab, batch.i_smooth_ab
+
+
+def _torque_of(psi_ab: RealArray, i_ab: RealArray, batch: SignalBatch) -> Array:
     pairs = batch.motor.pole_pairs if batch.motor is not None else 1
-    return np.asarray(_torques(doubles(psi), doubles(i), 1.5 * pairs))
+    return np.asarray(_torques(doubles(psi_ab), doubles(i_ab), 1.5 * pairs))
 
 
 @njit(cache=True, nogil=True)
@@ -158,13 +174,12 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
 def _after_friction(torque_nm: Array, friction_nm: float, elastic: float, batch: SignalBatch) -> Array:
     """The torque (N,) that reaches the brake's spring: a play, and the part `elastic` of what acts."""
     came_from = [np.zeros((0, 2)) if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
-    corners = np.array([len(one) for one in came_from])
-    first = batch.starts[:-1]
-    i_ab, psi_ab = batch.i_ab[first].repeat(corners, axis=0), batch.psi_ab[first].repeat(corners, axis=0)
-    at = np.concatenate(came_from)
-    flux = psi_ab + typical_inductance(batch).repeat(corners)[:, None] * (at - i_ab)
-    before = _torques(doubles(flux), doubles(at), 1.5 * (batch.motor.pole_pairs if batch.motor is not None else 1))
-    slid = _slid(torque_nm, batch.starts, before, np.append(0, np.cumsum(corners)), friction_nm)
+    count, first, before_ab = np.array([len(one) for one in came_from]), batch.starts[:-1], np.concatenate(came_from)
+    psi_ab, i_ab = (x if x is None else x[first].repeat(count, axis=0) for x in _flux_and_current(batch))
+    assert psi_ab is not None and i_ab is not None, "a torque has a flux"
+    way_ab = psi_ab + typical_inductance(batch).repeat(count)[:, None] * (before_ab - i_ab)
+    before_nm = _torque_of(way_ab, before_ab, batch)
+    slid = _slid(torque_nm, batch.starts, before_nm, np.append(0, np.cumsum(count)), friction_nm)
     return np.asarray(slid + elastic * (torque_nm - slid))
 
 

@@ -148,18 +148,19 @@ def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup, l
     assert finer_map(setup, setup.fitter, fit, kinked) is None
 
 
+@pytest.mark.parametrize("cells", [(10, 10), (14, 6)])
 def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
-    setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+    setup: DiagnosisSetup, cells: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where a knee lies between the nodes of eight intervals and on one of ten."""
+    """Where a knee lies between the nodes of eight intervals and on one of ten, or of fourteen."""
     fit = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=0)
-    finest = replace(fit, chi2=0.9 * fit.chi2)
+    fit = replace(fit, chi2=5.0 * fit.dof)
+    finest = replace(fit, chi2=1.02 * fit.dof)
 
-    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, grid: EvenSpline) -> Fit | None:
-        assert given is fit
-        return finest if grid.cells == (setup.criteria.intervals[-1],) * 2 else None
+    def at_those_alone(_: DiagnosisSetup, __: Fitter, given: Fit, grid: EvenSpline, ___: object = None) -> Fit | None:
+        return finest if given is fit and grid.cells == cells else None
 
-    monkeypatch.setattr(baseline, "finer_map", at_the_finest)
+    monkeypatch.setattr(baseline, "finer_map", at_those_alone)
     assert with_finest_map(setup, setup.fitter, fit) is finest
 
 

@@ -129,6 +129,30 @@ def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.
     assert after.doubtful == (() if sure else whole.model.names)
 
 
+@pytest.mark.parametrize("is_needed", [False, True])
+def test_what_a_refit_was_refused_without_is_a_cause_although_its_interval_contains_no_effect(
+    is_needed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where an amplitude and a shape are confounded, the interval of a linear model is far too wide."""
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    monkeypatch.setattr(naming, "possibly_absent", lambda *_: ["voltage_bias"])
+    monkeypatch.setattr(naming, "is_none_significant", lambda *_: True)
+    needed = frozenset({"voltage_bias"}) if is_needed else frozenset[str]()
+    state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, is_joint=True, needed=needed)
+    search = build_ladder(state, [AcceptedModel(None, bare)])
+    assert ("voltage_bias" in [step.added for step in search.steps]) == is_needed
+    after = drop_confounded(setup.fitter, search, needed)
+    assert ("voltage_bias" in [step.added for step in after.steps]) == is_needed
+
+
+def test_an_effect_that_the_noise_hides_in_volts_takes_its_part_of_chi2() -> None:
+    """Of two that leave nothing, the parts of chi2 add up to the first model's excess, as they are not alike."""
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    shares = _ladder(setup, bare, whole).contributions
+    assert sum(one.relative_to_misfit**2 for one in shares.values()) == pytest.approx(1.0, abs=0.1)
+    assert all(one.share >= max(one.relative_to_error, one.relative_to_misfit) for one in shares.values())
+
+
 CRITERIA = Criteria().selection
 
 
