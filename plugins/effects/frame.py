@@ -87,11 +87,13 @@ class BrakeCompliance(BatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Add the twist to the angle; nothing changes without a flux in the signals."""
-        torque = _torque_nm(batch)
-        if torque is None:
+        psi_ab, i_ab = _flux_and_current(batch)
+        if psi_ab is None:
             return Correction()
+        torque = _torque_of(psi_ab, i_ab, batch)
         if p.friction_nm > 0.0:
-            torque = _after_friction(torque, p.friction_nm, p.elastic, batch)
+            slid = _slid(torque, batch.starts, *_torque_before(psi_ab, i_ab, batch), p.friction_nm)
+            torque = slid + p.elastic * (torque - slid)
         twist = _swinging(torque, p.lag_s, p.inertia_s2, batch)
         twist *= p.rad_per_nm
         twist += batch.theta_rad
@@ -171,16 +173,13 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
     return out
 
 
-def _after_friction(torque_nm: Array, friction_nm: float, elastic: float, batch: SignalBatch) -> Array:
-    """The torque (N,) that reaches the brake's spring: a play, and the part `elastic` of what acts."""
+def _torque_before(psi_ab: RealArray, i_ab: RealArray, batch: SignalBatch) -> tuple[Array, Starts]:
+    """Torque (M,) on the way to each segment, where its current came from, and the bounds of these by segment."""
     came_from = [np.zeros((0, 2)) if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
     count, first, before_ab = np.array([len(one) for one in came_from]), batch.starts[:-1], np.concatenate(came_from)
-    psi_ab, i_ab = (x if x is None else x[first].repeat(count, axis=0) for x in _flux_and_current(batch))
-    assert psi_ab is not None and i_ab is not None, "a torque has a flux"
-    way_ab = psi_ab + typical_inductance(batch).repeat(count)[:, None] * (before_ab - i_ab)
-    before_nm = _torque_of(way_ab, before_ab, batch)
-    slid = _slid(torque_nm, batch.starts, before_nm, np.append(0, np.cumsum(count)), friction_nm)
-    return np.asarray(slid + elastic * (torque_nm - slid))
+    change_ab = before_ab - i_ab[first].repeat(count, axis=0)
+    flux_ab = psi_ab[first].repeat(count, axis=0) + typical_inductance(batch).repeat(count)[:, None] * change_ab
+    return _torque_of(flux_ab, before_ab, batch), np.append(0, np.cumsum(count))
 
 
 @njit(cache=True, nogil=True)
