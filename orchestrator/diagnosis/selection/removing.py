@@ -74,7 +74,10 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
 
 
 def other_form_moves(state: SearchState) -> Iterator[Move]:
-    """Remove an effect that is rather another one's form, by the evidence of a mixture of the others' forms."""
+    """Remove an effect that may be another one's form: a mixture of the others' forms has about as much evidence.
+
+    A name needs as much more evidence than any other explanation as an effect needs to be added.
+    """
     others = len(state.fit.model.active) - 1
     if not state.is_part and 1 <= others < MAX_EFFECTS_IN_OTHER_FORMS:
         factors = log_bayes_factors(state.fit)
@@ -90,9 +93,10 @@ def _remove_other_form(state: SearchState, name: str) -> SearchState | None:
     if mixture is None:
         return None
     worth, by_forms = evidence_gain(state.fit, trial), mixture.log_evidence / state.noise
-    taken = by_forms > worth
-    note = f"another form of {listed([plain(n) for n in mixture.effects])} has more evidence" if taken else ""
-    state.record("remove", (name,), trial, by_forms - worth, 0.0, taken=taken, note=note)
+    taken = by_forms > worth - state.limits.log_evidence
+    note = f"another form of {listed([plain(n) for n in mixture.effects])} does as well" if taken else ""
+    least = -state.limits.log_evidence
+    state.record("remove", (name,), trial, by_forms - worth, least, taken=taken, note=note)
     return replace(state.after(trial), refused=(*state.refused, name)) if taken else None
 
 
