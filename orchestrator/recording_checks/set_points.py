@@ -103,7 +103,7 @@ def voltage_match(survey: Survey) -> Match | None:
 
     def error(m: VectorMap) -> float:
         if not turning:
-            return float(abs(np.mean(np.sqrt(squares[:, 1].real)) / abs(m.a) - 1.0))
+            return float(abs(np.mean(np.sqrt(np.maximum(squares[:, 1].real, 0.0))) / abs(m.a) - 1.0))
         expected = np.stack([m.a**2 * turn, np.full_like(turn, 2.0 * m.a * m.b), m.b**2 * np.conj(turn)], axis=1)
         # Half: the relative error of a square is twice that of its root.
         return float(0.5 * np.linalg.norm(squares - expected) / np.linalg.norm(expected))

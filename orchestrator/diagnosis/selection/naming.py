@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,7 +88,8 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     rest = residual_fraction_of(first.chi2_per_dof, whole)
     min_share = max(state.limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * rest)
     imitable = _imitable_share(first, whole)
-    absent = [name for name in possibly_absent(state.fitter, whole) if name not in state.needed]
+    needed = state.needed if fitted_verdict(first, whole) != "unknown_remains" else frozenset[str]()
+    absent = [name for name in possibly_absent(state.fitter, whole) if name not in needed]
     notes = dict.fromkeys(absent, "its 95 % interval contains no effect at all")
     notes |= {n: IMITABLE for n in order if sizes[n].share <= imitable}
     clear = [n for n in order if n not in notes]
@@ -97,7 +98,9 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
         _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
     below = tuple(n for n in order if n not in causes)
     rungs = _rungs(state, steps, causes, factors)
-    return SearchResult(rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes)
+    return SearchResult(
+        rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes, needed=needed
+    )
 
 
 def _rungs(
@@ -126,28 +129,22 @@ def _beside(state: SearchState) -> tuple[list[str], dict[str, list[str]]]:
     return detected, {name: list(others) for name, others in state.indistinguishable.items() if name in present}
 
 
-def drop_confounded(fitter: Fitter, search: SearchResult, needed: Collection[str] = ()) -> SearchResult:
+def drop_confounded(fitter: Fitter, search: SearchResult) -> SearchResult:
     """The search without doubtful causes of a joint fit.
 
     While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual
     allows, if it explains less than the residual, if its interval contains its absence, or if it removes so much that
     another effect must balance it. All stay in the model. Where no effect is significant, all are rejected.
-
-    Parameters
-    ----------
-    needed : collection of str
-        Effects without which a refit was refused, whose absence no interval makes possible: where a size and a form are
-        confounded, intervals from a linear model are far too wide.
     """
     first, last = search.steps[0].fit, search.fit
-    if search.contributions and not needed and is_none_significant(fitter, search.fit):
+    if search.contributions and not search.needed and is_none_significant(fitter, search.fit):
         fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
         return SearchResult(baseline_models(search.steps), search.detected_not_named, doubtful=last.model.names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
         return search
     drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
     causes = [n for n in last.model.names if n not in search.below_materiality]
-    absent = [name for name in possibly_absent(fitter, last) if name not in needed]
+    absent = [name for name in possibly_absent(fitter, last) if name not in search.needed]
     contributed = search.contributions
     taken = {n: contributed[n].relative_to_error for n in causes}
     limit = MAX_RELATIVE_SCATTER

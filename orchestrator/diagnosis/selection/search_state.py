@@ -195,6 +195,9 @@ class SearchResult:
     """Contribution of each effect of a joint model; empty where effects were added one by one."""
     doubtful: tuple[str, ...] = ()
     """Effects that are not separable from the remaining error."""
+    needed: frozenset[str] = frozenset()
+    """Effects of a joint model that explains the error, without which a refit was refused. No interval makes them
+    absent: a linear model's is far too wide where a size and a form are confounded."""
 
     @property
     def fit(self) -> Fit:

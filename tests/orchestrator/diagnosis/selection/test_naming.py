@@ -141,7 +141,7 @@ def test_what_a_refit_was_refused_without_is_a_cause_although_its_interval_conta
     state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, is_joint=True, needed=needed)
     search = build_ladder(state, [AcceptedModel(None, bare)])
     assert ("voltage_bias" in [step.added for step in search.steps]) == is_needed
-    after = drop_confounded(setup.fitter, search, needed)
+    after = drop_confounded(setup.fitter, search)
     assert ("voltage_bias" in [step.added for step in after.steps]) == is_needed
 
 
