@@ -139,7 +139,9 @@ def drop_confounded(fitter: Fitter, search: SearchResult) -> SearchResult:
     first, last = search.steps[0].fit, search.fit
     if search.contributions and not search.needed and is_none_significant(fitter, search.fit):
         fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
-        return SearchResult(baseline_models(search.steps), search.detected_not_named, doubtful=last.model.names)
+        # Where nothing was named, the last of the first models has all effects.
+        steps, names = baseline_models(search.steps), last.model.names
+        return SearchResult(steps, search.detected_not_named, below_materiality=names, doubtful=names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
         return search
     drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)

@@ -127,6 +127,7 @@ def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.
     after = drop_confounded(setup.fitter, search)
     assert after.fit is (search.fit if sure else bare)
     assert after.doubtful == (() if sure else whole.model.names)
+    assert set(after.below_materiality) >= set(() if sure else whole.model.names)
 
 
 @pytest.mark.parametrize("is_needed", [False, True])
