@@ -33,7 +33,7 @@ def triangular_factor(rows: Array, block: int) -> Array:
         begin, here = k * block, first == k
         stop = max(begin + max(left.shape[1], block), int(end[here].max(initial=0)))
         wider = np.pad(left, ((0, 0), (0, stop - begin - left.shape[1])))
-        r = np.linalg.qr(np.concatenate([wider, rows[here, begin:stop]]), mode="r")
+        r = np.asarray(np.linalg.qr(np.concatenate([wider, rows[here][:, begin:stop]]), mode="r"))
         out[begin : begin + min(block, len(r)), begin:stop] = r[:block]
         left = r[block:, block:]
     return out
