@@ -25,7 +25,7 @@ def triangular_factor(rows: Array, block: int) -> Array:
         Upper triangular, with R^T R = rows^T rows; the signs of its rows are arbitrary.
     """
     width = rows.shape[1]
-    used = rows.reshape(len(rows), -1, block).any(axis=2)
+    used = np.asarray(rows.reshape(len(rows), -1, block).any(axis=2))
     blocks = used.shape[1]
     first, end = used.argmax(axis=1), (blocks - used[:, ::-1].argmax(axis=1)) * block
     out, left = np.zeros((width, width)), np.zeros((0, 0))
