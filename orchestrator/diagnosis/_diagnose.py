@@ -45,7 +45,7 @@ from orchestrator.diagnosis.reporting.findings import (
     size_remarks,
     unexplained,
 )
-from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
+from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung, training
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.reporting.own_effects import contract_remarks, own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
@@ -330,7 +330,7 @@ def _report(
     proposal = request.propose(setup, last, library, *confused[0]) if request.propose and confused else None
     report = DiagnosisReport(
         recording=recording.manifest.name,
-        noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
+        noise_floor=NoiseFloor(rms_v=noise_rms_v(last, training), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
         reasons=(*ended, *judgement.reasons),
         verdict_record=record,

@@ -83,9 +83,9 @@ def test_the_weakest_effect_is_left_out_on_trial_on_the_whole(biased: Fitter, mo
     assert after.fit.model.names == ("voltage_bias",)
 
 
-@pytest.mark.parametrize(("part_of_worth", "stays"), [(0.5, True), (2.0, False)])
-def test_what_other_forms_of_the_others_explain_with_more_evidence_goes(
-    biased: Fitter, part_of_worth: float, stays: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("more_than_forms", "stays"), [(1.1, True), (0.9, False), (-1.0, False)])
+def test_an_effect_goes_whose_evidence_over_other_forms_of_the_others_would_not_have_added_it(
+    biased: Fitter, more_than_forms: float, stays: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     library = scaled_library([VoltageBias(), PhaseResistanceImbalance()], biased.prepared.manifest)
     state = replace(joint_state(biased, [c.absent() for c in library]), is_part=False)
@@ -93,8 +93,8 @@ def test_what_other_forms_of_the_others_explain_with_more_evidence_goes(
 
     def mixture(_: Fitter, trial: Fit, names: tuple[str, ...]) -> FormMixture:
         mixed.append(names)
-        worth = evidence_gain(state.fit, trial) * state.noise
-        return FormMixture(names, 0.5, worth + (part_of_worth - 1.0) * abs(worth), np.zeros(0), np.zeros((0, 0)))
+        evidence = evidence_gain(state.fit, trial) - more_than_forms * state.limits.log_evidence
+        return FormMixture(names, 0.5, evidence * state.noise, np.zeros(0), np.zeros((0, 0)))
 
     monkeypatch.setattr(removing, "mix_forms", mixture)
     (weakest, _) = other_form_moves(state)
