@@ -96,15 +96,11 @@ def settings_for_firmware(
             ),
         ),
     }
-    left_out = {
-        firmware: [*_left_out(firmware, limits, control, compensation, lost_us)] for firmware in texts
-    }  # fmt: skip
+    left_out = {name: _left_out(name, limits, control, compensation, lost_us) for name in texts}
     if linkage is None:
         left_out["vesc"].append("foc_motor_flux_linkage: the map does not reach zero current")
     heading = _heading(machine, limits, control)
-    return {
-        f"{name}.txt": _text(TITLES[name], heading, settings, left_out[name]) for name, settings in texts.items()
-    }  # fmt: skip
+    return {f"{name}.txt": _text(TITLES[name], heading, texts[name], left_out[name]) for name in texts}
 
 
 def _linkage_wb(flux_map: FluxMap) -> float | None:
@@ -124,12 +120,14 @@ def _at_rest(control: CurrentControl, flux_map: FluxMap) -> tuple[float, float]:
 def _heading(machine: Machine, limits: DriveLimits, control: CurrentControl) -> list[str]:
     """What the settings are for and rest on."""
     alpha = control.bandwidth_rad_s
+    # The open loop is alpha e^(-s T) / s where L is least. The control of flux has an integral part beside it.
+    margin_deg = 90.0 - math.degrees(alpha * control.delay_s)
     return [
         f"One update each {1e6 / limits.sampling_hz:.4g} us, up to {limits.current_a:.4g} A peak.",
         *(basis[0].upper() + basis[1:] + "." for basis in machine.basis),
         "PI current control with constant gains: kp = alpha L, ki = alpha R_s.",
         f"alpha = {alpha:.4g} rad/s, a bandwidth of {alpha / (2.0 * math.pi):.4g} Hz: phase margin "
-        f"{control.least_phase_margin_deg:.0f}° with a delay of {1e6 * control.delay_s:.4g} us.",
+        f"{margin_deg:.0f}° at standstill where L is least, with a delay of {1e6 * control.delay_s:.4g} us.",
         *(
             f"L_{axis} = {quantity(one.inductance_h, 'H')}: incremental, the least within the current limit, at "
             f"(i_d, i_q) = ({one.i_d_a:.3g}, {one.i_q_a:.3g}) A; without current {quantity(one.at_rest_h, 'H')}."

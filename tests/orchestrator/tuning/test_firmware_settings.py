@@ -100,6 +100,17 @@ def test_vesc_gets_the_flux_linkage_or_a_line_that_it_is_missing() -> None:
     assert b"foc_motor_flux_linkage: the map does not reach zero current" in missing
 
 
+def test_the_stated_phase_margin_is_that_of_the_settings_that_are_written() -> None:
+    of = machine(linear(0.02, 0.05, 0.3))
+    control, settings = settings_of(of)
+    k_p, k_i = settings["vesc.txt"]["foc_current_kp"], settings["vesc.txt"]["foc_current_ki"]
+    s = 1j * np.geomspace(1e2, 1e5, 100_000)
+    loop = (k_p + k_i / s) / (0.02 * s + of.r_s_ohm) * np.exp(-s * control.delay_s)
+    margin_deg = 180.0 + math.degrees(np.angle(loop[np.abs(np.abs(loop) - 1.0).argmin()]))
+    for text in texts_of(of).values():
+        assert f"phase margin {margin_deg:.0f} deg at standstill" in text
+
+
 def test_no_current_makes_the_loop_faster_than_the_bandwidth() -> None:
     """The gain in volts per ampere is at most the bandwidth times what a step on that axis meets."""
     plant = Plant(i_d=6.0, i_q=2.0, i_x=3.0, i_y=3.0, cross=2e-4)
