@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from orchestrator.diagnosis._prepare import open_for_refit
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map, with_freed_map
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map, with_freed_map, with_sharpest_map
 from orchestrator.diagnosis.fitting.candidates import (
     MAP_RUNGS,
     CandidateEffect,
@@ -241,7 +241,7 @@ def _with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) ->
 
 def _refine_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """Refit on the finest map that the evidence now requires; a missing effect may have hidden its gain."""
-    detailed = with_finest_map(setup, setup.fitter, fit)
+    detailed = with_sharpest_map(setup, setup.fitter, with_finest_map(setup, setup.fitter, fit))
     return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.linearisation)
 
 

@@ -24,7 +24,7 @@ from orchestrator.diagnosis.fitting.columns import (
     probe_segments,
 )
 from orchestrator.diagnosis.fitting.equations import BatchState, WeakFormEquations
-from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
+from orchestrator.diagnosis.fitting.gauss_newton import midway, moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import (
     BatchLinearisation,
     Fit,
@@ -60,6 +60,8 @@ MIN_PREDICTED_REDUCTION: float = 2.0
 """Predicted reduction below which a failed step is not tried again: one in log evidence."""
 MAX_RETURNS: int = 5
 """Steps after a failed one in which a fit may come back to a curved valley further on."""
+MAX_HALVINGS: int = 4
+"""Halvings of a descent whose end does not bear relinearisation."""
 FEW_COLUMNS: int = 6
 """Columns up to which all are renewed without a probe."""
 COLUMNS_PER_EVALUATION: int = 3
@@ -157,16 +159,33 @@ class Fitter:
             Fall of the objective over the excess chi2, below which the fit ends.
         """
         if linearisation is not None and linearisation.space is model.space:
-            best = self.evaluate(model, linearisation)
+            start = self.evaluate(model, linearisation)
         else:
-            best = self.relinearise(model, linearisation)
-        best = self._descend(best, steps, tolerance)
+            start = self.relinearise(model, linearisation)
+        best = self._descend(start, steps, tolerance)
         for _ in range(relinearisations):
             old = best
-            best = self._descend(self.relinearise(best.model, best.linearisation), steps, tolerance)
+            best = start = self.renewed(best, start.objective)
+            best = self._descend(best, steps, tolerance)
             if abs(best.chi2 - old.chi2) < MIN_RELINEARISATION_CHANGE * best.chi2:
                 break
         return best
+
+    def renewed(self, fit: Fit, bearable: float) -> Fit:
+        """The fit relinearised, or a point nearer to where it was linearised, if the objective rises above `bearable`.
+
+        A position that follows the torque changes the map, which changes the torque: far from where this was
+        linearised, the descent may end at a model that is worse than none. Steps are halved while that helps.
+        """
+        renewed = self.relinearise(fit.model, fit.linearisation)
+        model, bearable = fit.model, bearable + max(OBJECTIVE_SLACK, MIN_RELINEARISATION_CHANGE * fit.chi2)
+        for _ in range(MAX_HALVINGS if renewed.objective > bearable else 0):
+            model = midway(fit.linearisation.model, model)
+            nearer = self.relinearise(model, fit.linearisation)
+            if nearer.objective >= renewed.objective:
+                break
+            renewed = nearer
+        return renewed
 
     def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
         damping = 0.0
@@ -280,7 +299,7 @@ class Fitter:
     def _linearisation_of(
         self, model: Model, linearisations: Sequence[BatchLinearisation], old: Linearisation | None
     ) -> Linearisation:
-        linearisation = Linearisation(model.space, self.noise, tuple(linearisations), np.zeros((0, 0)))
+        linearisation = Linearisation(model, self.noise, tuple(linearisations), np.zeros((0, 0)))
         pairs = zip(linearisation.pieces, old.pieces, strict=True) if old is not None else ()
         if old is not None and all(a.white_basis is b.white_basis for a, b in pairs):
             return replace(linearisation, gram=old.gram)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +104,22 @@ def moved_by(model: Model, move: Array) -> Model:
             moved = moved.moved(name, item.standardised_value(name) + step)
         active.append(_by_powers(item, moved, steps))
     return model.with_active(active)
+
+
+def midway(one: Model, other: Model) -> Model:
+    """The model half way from one to another with the same map space; an effect that `one` lacks is half as large."""
+    before = {a.name: a for a in one.active}
+    active = []
+    for term in other.active:
+        start, moving = before.get(term.name), term.free
+        if start is None:
+            start, moving = term.candidate.absent(), term.candidate.amplitudes
+        for name in moving:
+            term = term.moved(name, 0.5 * (start.standardised_value(name) + term.standardised_value(name)))
+        active.append(term)
+    coefficients = 0.5 * (one.magnetics.coefficients + other.magnetics.coefficients)
+    magnetics = replace(other.magnetics, coefficients=coefficients)
+    return replace(other, magnetics=magnetics, r_s=0.5 * (one.r_s + other.r_s), active=tuple(active))
 
 
 def _by_powers(item: EffectTerm, moved: EffectTerm, steps: Mapping[str, float]) -> EffectTerm:

@@ -159,11 +159,16 @@ class BatchLinearisation:
 class Linearisation:
     """Quantities of a recording that are reused between steps."""
 
-    space: MapSpace
+    model: Model
+    """The model at which it was made."""
     noise: SensorNoise
     batches: tuple[BatchLinearisation, ...]
     gram: Array
     """Sum of white_basis^T white_basis over the training segments."""
+
+    @property
+    def space(self) -> MapSpace:
+        return self.model.space
 
     @cached_property
     def pieces(self) -> tuple[SegmentLinearisation, ...]:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_sharpest_map
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
@@ -219,9 +219,9 @@ def on_whole(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchState:
 
 def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
     """The ladder of a whole recording's model."""
-    steps, fit = refit_steps(state.setup, steps), state.fit
+    steps, fit = refit_steps(state.setup, steps), with_sharpest_map(state.setup, state.fitter, state.fit)
     if not fit.model.active:
-        return plain_ladder(state, steps)
+        return plain_ladder(replace(state, fit=fit), [*steps[:-1], replace(steps[-1], fit=fit)])
     if state.is_joint:
         # The last move may have left the map's equations linearised elsewhere.
         state = replace(state, fit=state.minimum(fit.model, rounds=MAX_SHAPE_ROUNDS))

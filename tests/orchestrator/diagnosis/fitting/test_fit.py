@@ -11,6 +11,7 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.fit import COLUMNS_PER_EVALUATION, OBJECTIVE_SLACK, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.frames import from_two_phases, to_phases
+from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.sensors import CurrentNonlinearity
 from protocols import Effect, Signals
@@ -104,6 +105,19 @@ def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:
     assert hopeless.objective <= fit.objective + OBJECTIVE_SLACK
     once = (len(fit.model.free) + COLUMNS_PER_EVALUATION) * _samples(maker)
     assert maker.budget.spent - spent <= once
+
+
+def test_a_descent_that_does_not_bear_relinearisation_is_shortened(clean: Fitter) -> None:
+    bare = clean.fit(free_model())
+    twisted = with_free(bare.model, clean, BrakeCompliance(), rad_per_nm=0.02)
+    far = clean.evaluate(twisted, clean.linearise(bare.model))
+    plain = clean.relinearise(far.model, far.linearisation)
+    shortened = clean.renewed(far, bare.objective)
+    assert shortened.objective < 0.5 * plain.objective
+    (active,) = shortened.model.active
+    assert 0.0 < active.values["rad_per_nm"] < 0.02
+    # What the new linearisation bears is not shortened.
+    assert clean.renewed(far, plain.objective).model.active == far.model.active
 
 
 def _samples(maker: Fitter) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, moved_by, newton_step, reach
+from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, midway, moved_by, newton_step, reach
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.resistance import WindingHeating
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -112,3 +112,15 @@ def test_an_amplitude_that_does_not_go_along_with_a_shape_moves_by_its_step(make
     for by, step in ((0.5, -0.5), (0.5, 0.1), (0.5, 0.0), (0.0, 1.0)):
         (moved,) = moved_by(model, np.array([by * x, step])).active
         assert moved.values["rise_per_watt"] == pytest.approx((1.0 + by) * 1e-3)
+
+
+def test_half_way_is_half_of_every_size_and_of_the_map(maker: Fitter) -> None:
+    bare = free_model()
+    other = with_free(bare, maker, VoltageBias(), bias_a_v=0.4)
+    magnetics = replace(other.magnetics, coefficients=other.magnetics.coefficients + 2.0)
+    half = midway(bare, replace(other, r_s=bare.r_s + 1.0, magnetics=magnetics))
+    assert half.active[0].values["bias_a_v"] == pytest.approx(0.2)
+    assert half.r_s == pytest.approx(bare.r_s + 0.5)
+    np.testing.assert_allclose(half.magnetics.coefficients, bare.magnetics.coefficients + 1.0)
+    again = midway(half, other)
+    assert again.active[0].values["bias_a_v"] == pytest.approx(0.3)

@@ -1,5 +1,7 @@
 """Local roughness of a map: where it comes from, and that the evidence prefers it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,15 @@ from orchestrator.diagnosis.fitting.baseline import (
     map_log_evidence,
     map_space,
     with_local_roughness,
+    with_sharpest_map,
 )
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.roughness import NODES, estimated_roughness
 from orchestrator.diagnosis.weak_form.magnetics import shares_of_nodes
 from orchestrator.numerics.tensor_spline import EvenSpline
+from plugins.drives.simulated._map import load_table
+from plugins.effects.timing import CurrentFilter
 from protocols import Saturated
 
 
@@ -33,9 +39,39 @@ def test_a_rough_map_gains_evidence_by_its_places(sharp: DiagnosisSetup, sharp_f
     assert map_log_evidence(local) >= map_log_evidence(fit)
 
 
+@pytest.mark.slow
+def test_the_last_map_is_likelier_and_nearer_to_the_iron_and_effects_keep_their_values(
+    sharp: DiagnosisSetup, sharp_fit_without_kink: Fit
+) -> None:
+    grid, before = replace(sharp_fit_without_kink.model.space.grid, cells=(10, 14)), sharp_fit_without_kink.model
+    (lag,) = scaled_library([CurrentFilter()], sharp.prepared.manifest)
+    model = replace(
+        before,
+        space=map_space(sharp, Saturated(), grid, np.zeros(grid.size), np.full((1, 1), 9.0)),
+        magnetics=before.magnetics.on(grid),
+        active=(lag.absent(),),
+    )
+    coarse = sharp.fitter.fit(model)
+    finest = with_sharpest_map(sharp, sharp.fitter, coarse)
+    assert map_log_evidence(finest) > map_log_evidence(coarse) + 50.0
+    assert finest.model.active == coarse.model.active
+    assert _off_wb(finest) < 0.85 * _off_wb(coarse)
+
+
+def _off_wb(fit: Fit) -> float:
+    """rms error of the flux over the currents that were measured, against the table of the machine."""
+    table = load_table("ipm-femm-60c", None)
+    low, high = fit.model.space.grid.low, fit.model.space.grid.high
+    d, q = table.i_dq.T
+    inside = (d >= low) & (d <= high) & (np.abs(q) <= fit.model.space.grid.reach)
+    error = fit.model.magnetics.flux_and_inductance(table.i_dq[inside])[0] - table.psi_dq[inside]
+    return float(np.sqrt(np.mean((error - error.mean(axis=0)) ** 2)))
+
+
 def test_a_usual_map_stays_as_it_is(setup: DiagnosisSetup, linear_fit: Fit) -> None:
     assert not has_fine_grid(linear_fit)
     assert with_local_roughness(setup, setup.fitter, linear_fit) is linear_fit
+    assert with_sharpest_map(setup, setup.fitter, linear_fit) is linear_fit
 
 
 def test_an_even_roughness_at_all_nodes_is_that_of_a_single_one(setup: DiagnosisSetup) -> None:
