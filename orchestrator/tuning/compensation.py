@@ -2,7 +2,7 @@
 
 `tuning.probes` tells what each effect does to a drive. The effects of the winding's resistance and of the iron belong
 to the motor, those of a brake to the bench, and a drive measures its own bus: they are not in the tables. Nor is an
-effect that drifts with time, or one that acts in some of the legs only.
+effect that drifts with time, one that acts in some of the legs only, or one that follows earlier currents above all.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.reporting.motor_model import term_of
+from orchestrator.formatting.quantities import quantity
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.probes import TRACE_RATIO, Probes, Response, without_rounding
+from orchestrator.tuning.probes import TRACE_RATIO, Course, Probes, Response, without_rounding
 from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, is_compensable
 
 MAX_OUTSIDE_RATIO = 0.1
@@ -28,6 +29,10 @@ MAX_LEG_DIFFERENCE_RATIO = 0.5
 """Difference of the legs' losses from their mean (rms, over the losses) up to which one table serves all three."""
 MIN_LEG_SHARE = 0.1
 """Part of the largest leg's loss (rms) from which a leg takes part."""
+
+MAX_SLOW_HISTORY_RATIO, MAX_FAST_HISTORY_RATIO = 0.5, 1.0
+"""Part of what an effect changes (rms) that may depend on earlier currents or voltages, on a slow and on a fast course;
+beyond, no table stands for the effect: at 1 a correction is as wrong as none."""
 
 REASONS = {
     EffectLayer.BUS: "the drive measures its bus voltage",
@@ -41,6 +46,10 @@ NO_TRACE = "it changes neither constant readings, nor a constant voltage, nor an
 NOT_COMPENSABLE = "a drive cannot take it out"
 DRIFTS = "it changes with time, which no table can follow"
 READS_VOLTAGE = "its readings follow the phase voltage, which the code's correction of readings does not have"
+HISTORY = (
+    "it depends on earlier currents or voltages, too, and a table on the present ones alone: {part} of what it changes "
+    "is {lacking} where they pass from one limit to the other in {time}"
+)
 UNLIKE_LEGS = "{where}; the code has one table for all legs"
 PARTLY = "it is compensated in part: {part} of what it changes depends on more than the tables know"
 OF_MEAN_LEG = (
@@ -207,10 +216,20 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
         if p.fitted and p.low is not None and p.high is not None
     ]
     whole = response.with_variances(ends)
+    courses = slow, fast = probes.courses(term, response)
+    if slow.ratio > MAX_SLOW_HISTORY_RATIO or fast.ratio > MAX_FAST_HISTORY_RATIO:
+        return _of_history(max(courses, key=lambda one: one.ratio), "no table's"), None
+    if fast.ratio > MAX_OUTSIDE_RATIO or slow.ratio > MAX_OUTSIDE_RATIO:
+        return f"it is compensated in part: {_of_history(max(courses, key=lambda one: one.ratio), 'left')}", whole
     if response.outside_ratio <= MAX_OUTSIDE_RATIO:
         return None, whole
     of_leg = _uneven_leg(probes.leg_losses(term), probes.bus_v) if effect.layer is EffectLayer.INVERTER else ""
     return of_leg or PARTLY.format(part=f"{response.outside_ratio:.0%}"), whole
+
+
+def _of_history(course: Course, lacking: str) -> str:
+    """The sentence of an effect that depends on what was before."""
+    return HISTORY.format(part=f"{min(course.ratio, 1.0):.0%}", lacking=lacking, time=quantity(course.rise_s, "s"))
 
 
 def _reason(probes: Probes, term: EffectTerm) -> str:

@@ -8,6 +8,7 @@ probe     signals                                                       read off
 holds     constant currents, one phase without any, two bus voltages    gain and offset of readings, lost voltage, bias
 triangles current, and voltage, rise and fall slowly                    their group delays
 angles    no current, the rotor all around                              angle of the d axis
+courses   triangles, slow and fast, beside holds of the same values     what depends on earlier currents or voltages
 ========= ============================================================= ===============================================
 
 With i_a = 0 and i_b = -i_c = x, the legs lose e(x) and e(-x) = -e(x): a vector of length 2/sqrt(3) e(x) along beta.
@@ -21,7 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,10 @@ HOLD_ROWS = 8
 """Rows of a held current: an effect that averages over neighbouring rows has some on both sides of the middle."""
 RAMP_ROWS = 4096
 """Rows of a slow rise: lags of up to a hundred rows have settled in its middle."""
+FAST_RAMP_ROWS = 128
+"""Rows of a fast rise: that of a motor at 40 Hz electrical where the drive samples at 10 kHz."""
+HELD_PER_RAMP = 16
+"""Values in the middle half of a rise, and of a fall, that are also held."""
 RAMP_VOLTAGE_RATIO = 0.05
 """Height of the voltage's triangle over the bus voltage: the duties stay near one half."""
 BACK_EMF_RATIO = 0.2
@@ -133,6 +138,15 @@ class Response:
         )
 
 
+class Course(NamedTuple):
+    """What a response, which knows no history, lacks on a rise and fall."""
+
+    rise_s: float
+    """From one end to the other [s]."""
+    ratio: float
+    """rms of what is lacking over that of what the effect changes, of current or voltage, whichever is larger."""
+
+
 class Probes:
     """Known signals of a drive at rest, and what effects make of them.
 
@@ -203,6 +217,33 @@ class Probes:
             lost_variance=np.zeros_like(lost),
             outside_ratio=max(curved, unlike, uneven),
         )
+
+    def courses(self, term: EffectTerm, response: Response) -> tuple[Course, Course]:
+        """What an effect does on a slow and on a fast rise and fall beside what it does to the same values held, and
+        to the readings and voltages that the response's delays shift; raises `PluginError` where it fails."""
+        slow, fast = (self._course(term, response, rows) for rows in (RAMP_ROWS, FAST_RAMP_ROWS))
+        return slow, fast
+
+    def _course(self, term: EffectTerm, response: Response, rise: int) -> Course:
+        flank = np.linspace(rise // 4, 3 * rise // 4, HELD_PER_RAMP, dtype=np.intp)
+        at = np.concatenate([flank, 2 * rise - 1 - flank])
+        sign = np.repeat([1.0, -1.0], HELD_PER_RAMP)[:, None]
+        rise_s = rise / self._drive.sampling_frequency_hz
+        leads = {"i_ab": response.gain[0, 0] * response.current_delay_s, "v_ab": -response.voltage_delay_s}
+        ratios = []
+        for moving in self._triangles_of(rise):
+            i_ab, v_ab = (np.repeat(x[at], HOLD_ROWS, axis=0) for x in (moving.i_ab, moving.v_ab))
+            held = _holds_of(self._signals(i_ab, v_ab, self.bus_v))
+            after, settled = apply_effect(moving, term).signals, apply_effect(held, term).signals
+            for name, lead_s in leads.items():
+                before, course, still = (np.asarray(getattr(x, name)) for x in (moving, after, settled))
+                step = (before[rise // 2 + 1] - before[rise // 2]) * self._drive.sampling_frequency_hz
+                lacking = course[at] - _middle(still) - sign * lead_s * step
+                whole = np.stack([course[at] - before[at], _middle(still) - before[at]])
+                trace = TRACE_RATIO * (self.current_a[-1] if name == "i_ab" else self.bus_v)
+                size = max(float(np.sqrt(np.mean(x**2))) for x in whole)
+                ratios.append(float(np.sqrt(np.mean(lacking**2))) / size if size > trace else 0.0)
+        return Course(rise_s, max(ratios))
 
     def drifts(self, term: EffectTerm) -> bool:
         """Whether an effect does something else later; raises `PluginError` where it fails."""
@@ -276,8 +317,11 @@ class Probes:
 
     @cached_property
     def _triangles(self) -> tuple[SignalBatch, SignalBatch]:
-        """A rise along alpha and back: of the current alone, and of the voltage alone."""
-        rise = np.linspace(-1.0, 1.0, RAMP_ROWS)
+        """A slow rise along alpha and back: of the current alone, and of the voltage alone."""
+        return self._triangles_of(RAMP_ROWS)
+
+    def _triangles_of(self, rows: int) -> tuple[SignalBatch, SignalBatch]:
+        rise = np.linspace(-1.0, 1.0, rows)
         triangle = np.outer(np.concatenate([rise, rise[::-1]]), [1.0, 0.0])
         nothing, volts = np.zeros_like(triangle), RAMP_VOLTAGE_RATIO * self.bus_v * triangle
         current = self._signals(self.current_a[-1] * triangle, nothing, self.bus_v)

@@ -2,7 +2,10 @@
 
 Injection finds the axis of least incremental inductance. Cross-saturation turns it from the d axis by (`principal`)
 
-    eps(i) = -1/2 atan2(L_dq, (L_qq - L_dd) / 2).
+    eps(i) = -1/2 atan2(L_dq, (L_qq - L_dd) / 2),
+
+positive in the electrical angle's direction: a tracking that takes this axis for the d axis reads theta + eps, and the
+rotor stands at theta = theta_tracked - eps = theta_tracked + 1/2 atan2(2 L_dq, L_qq - L_dd).
 
 A ripple runs through a small loop of the iron's hysteresis, which is flatter than the large-signal curve psi(i): what
 a ripple measures is what a tracking sees, and its eps is the one to compensate. The slopes of the large-signal map

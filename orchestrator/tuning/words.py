@@ -30,7 +30,7 @@ FILE_CONTENTS = (
 
 MIN_SATURATION_RATIO = 1.01
 """Inductance without current over the least one from which the bandwidth without current has its figure."""
-AXIS_ANGLE = "−½ atan2(2 L_dq, L_qq − L_dd) at i_ref"
+AXIS_ANGLE = "θ = θ_tracked + ½ atan2(2 L_dq, L_qq − L_dd)"
 MIN_USEFUL_SHARE_PERCENT = 10.0
 """Part of the currents below which a tracking by injection is of no use."""
 MIN_OBSERVER_SPEED_RATIO = 0.01
@@ -105,7 +105,7 @@ def _compensation_rows(report: TuningReport) -> list[tuple[str, str]]:
 def notes(report: TuningReport) -> list[str]:
     """The remarks, and the effects that are not compensated, or in part, with their reasons."""
     left_out = [
-        f"{plain(name)}: {reason}" if name in report.compensated else f"not compensated: {plain(name)}, {reason}"
+        f"{plain(name)}: {reason}" if name in report.compensated else f"not compensated: {plain(name)} ({reason})"
         for name, reason in report.left_out.items()
     ]
     return [*(remark.text for remark in report.remarks), *left_out]
@@ -158,10 +158,11 @@ def _injection_rows(report: TuningReport) -> list[tuple[str, str]]:
         (name, usable),
         *beyond,
         ("... as it is", f"{as_it_is} along MTPA the angle error stays within the limit of {limit} electrical"),
-        ("... error to compensate", f"up to {number(error, 3)}°, at {vector(*place)}: subtract {AXIS_ANGLE}"),
+        ("... error to compensate", f"up to {number(error, 3)}° electrical, at {vector(*place)}: {AXIS_ANGLE}"),
     ]
     if left is not None:
-        rows.append(("", f"with L of the C code's table; up to {number(left, 2)}° is left"))
+        rows.append(("", f"with L of the C code's table at i_ref; up to {number(left, 2)}° is left"))
+    rows.append(("", "electrical angles from phase a's axis to the d axis [rad], positive towards phase b's"))
     return rows
 
 

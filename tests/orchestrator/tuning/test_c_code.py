@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import math
 import re
@@ -12,7 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
+from scipy.optimize import fsolve
 
+from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from orchestrator.tuning.references import flux_limit
@@ -101,6 +104,42 @@ def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Functio
     lookup = RegularGridInterpolator((control.gain_i_d_a, control.gain_i_q_a), control.inductance_h)
     held = np.clip(at, control.gain_i_d_a[0], control.gain_i_d_a[-1])
     assert_near(np.array([drive.vector("inductance_h", 3, *i)[1] for i in at]), lookup(held))
+
+
+def tracked_angle(theta_rad: float, i_dq: Array) -> float:
+    """Where a tracking settles that injects a flux along its d axis and turns until no ripple is across it [rad].
+
+    The plant's current for a flux is searched; no inductance is used.
+    """
+    at_rest, tracked = PLANT.psi(i_dq), theta_rad
+    for _ in range(60):
+        ripple_wb = 1e-4 * rotation(tracked - theta_rad)[:, 0]
+        currents = [fsolve(lambda i, to: PLANT.psi(i) - to, i_dq, args=(at_rest + s * ripple_wb,)) for s in (1.0, -1.0)]
+        seen = rotation(tracked - theta_rad).T @ (currents[0] - currents[1])
+        tracked += 0.5 * math.atan2(seen[1], seen[0])
+    return tracked
+
+
+@pytest.mark.parametrize(("i_d", "i_q"), [(-6.0, 6.0), (-6.0, -12.0), (6.0, 6.0)])
+def test_the_headers_line_turns_the_axis_that_injection_tracks_into_the_d_axis(
+    tables: Tables, tmp_path: Path, i_d: float, i_q: float
+) -> None:
+    # At nodes of the table of inductances, whose interpolation is no matter of this test.
+    files = tables.files()
+    (line,) = re.findall(r"^ \*     (theta = .*atan2f.*;)$", files["motor_drive.h"].decode(), flags=re.MULTILINE)
+    source = f"""
+        #include <math.h>
+        #include "motor_drive.h"
+        float axis(float theta_tracked, float i_d, float i_q);
+        float axis(float theta_tracked, float i_d, float i_q)
+        {{ float l[3], theta; motor_inductance_h(i_d, i_q, l); {line} return theta; }}
+    """
+    axis = library_of(files, tmp_path, source.encode()).axis
+    axis.restype = ctypes.c_float
+    theta = 0.7
+    tracked = tracked_angle(theta, np.array([i_d, i_q]))
+    assert abs(tracked - theta) > math.radians(3.0)
+    assert axis(*map(ctypes.c_float, (tracked, i_d, i_q))) == pytest.approx(theta, abs=math.radians(0.5))
 
 
 def left_flux(limits: DriveLimits, r_s: float, current_2: float, torque_nm: float, omega: float) -> float:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orchestrator.diagnosis import linear_magnetics
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
@@ -374,6 +375,61 @@ def test_an_effect_that_nobody_knows_is_probed_as_well() -> None:
     assert found.lost_per_bus_v == pytest.approx(0.01 * np.tanh(found.current_a), abs=1e-12)
     assert found.delay_s == pytest.approx(1e-5, rel=1e-6)
     assert found.sources == ("channel",)
+
+
+class LaggingLoss(LegOnResistance):
+    """A dead time's voltage that follows the current with a lag, as a discharging snubber has it."""
+
+    name: ClassVar[str] = "lagging_loss"
+
+    def __init__(self, lag_rows: float) -> None:
+        self.lag_rows = lag_rows
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        keep = math.exp(-1.0 / self.lag_rows)
+        legs = np.tanh(to_phases(signals.i_ab) / 0.1) * 10.0 * p.channel_ohm
+        lagging = lfilter([1.0 - keep], [1.0, -keep], legs, axis=0, zi=keep * legs[:1])[0]
+        return Correction(v_ab=signals.v_ab - from_phases(lagging))
+
+
+class SensorHysteresis(CommonMode):
+    """A core of a current sensor: its reading stays behind by up to a tenth of an ampere, at any speed."""
+
+    name: ClassVar[str] = "sensor_hysteresis"
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        kept, state = np.zeros_like(signals.i_ab), np.zeros(2)
+        for k, change in enumerate(np.diff(signals.i_ab, axis=0, prepend=signals.i_ab[:1])):
+            state = np.clip(state + change, -100.0 * p.leak_a_per_v, 100.0 * p.leak_a_per_v)
+            kept[k] = state
+        return Correction(i_ab=signals.i_ab + kept)
+
+
+def test_a_loss_that_lags_is_compensated_in_part_and_the_part_left_is_stated() -> None:
+    lagging = one(LaggingLoss(10.0), channel_ohm=0.2)
+    assert lagging.lost_v[-1] == pytest.approx(2.0, rel=1e-6)
+    (left,) = lagging.left_out
+    assert left.reason.startswith("it is compensated in part: it depends on earlier currents or voltages, too")
+    # A loss of +-V that lags by 10 rows keeps 2 V exp(-t) after its zero crossing, half of the 64 rows that are probed.
+    percent = float(left.reason.partition("%")[0].rpartition(" ")[2])
+    assert percent == pytest.approx(100.0 * 2.0 * math.sqrt(5.0 / 64.0), rel=0.15)
+    assert left.reason.endswith("in 16 ms")  # 128 rows at 8 kHz
+
+
+@pytest.mark.parametrize("lag_rows", [0.05, 1000.0])
+def test_a_loss_that_follows_history_alone_is_in_no_table_and_one_without_lag_has_no_remark(lag_rows: float) -> None:
+    found = one(LaggingLoss(lag_rows), channel_ohm=0.2)
+    if lag_rows < 1.0:
+        assert found.left_out == ()
+        return
+    neutral(found)
+    assert "no table's" in found.left_out[0].reason
+
+
+def test_a_sensors_hysteresis_is_no_delay() -> None:
+    found = one(SensorHysteresis(), leak_a_per_v=1e-3)
+    neutral(found)
+    assert "earlier currents" in found.left_out[0].reason
 
 
 class PoorJoint(LegOnResistance):

@@ -40,7 +40,9 @@ def test_injection_is_judged_by_a_stated_limit_and_its_error_has_its_remedy() ->
     rows = dict(figure_rows(a_report()))
     assert rows["sensorless by injection"] == "usable up to 2.35 A along MTPA if its angle error is compensated"
     assert rows["... as it is"].startswith("up to 660 mA along MTPA the angle error stays within the limit of 5°")
-    assert rows["... error to compensate"].startswith("up to 23.5°, at (+0.400, +2.300) A: subtract")
+    assert rows["... error to compensate"].startswith(
+        "up to 23.5° electrical, at (+0.400, +2.300) A: θ = θ_tracked + ½ atan2("
+    )
     small = dict(figure_rows(a_report(injection_error_deg=0.3, injection_within_limit_a=2.35)))
     assert small["sensorless by injection"] == (
         "usable up to 2.35 A as it is: angle error 0.3° at most, within the limit of 5°"
@@ -124,5 +126,5 @@ def test_what_is_compensated_in_part_is_not_listed_as_left_out() -> None:
     left = {"dead_time": "it is compensated in part: leg b's loss is larger", "bus_sag": "it is measured"}
     lines = notes(a_report(compensated=("dead_time",), left_out=left, remarks=()))
     assert lines == [
-        "dead time: it is compensated in part: leg b's loss is larger", "not compensated: bus sag, it is measured",
+        "dead time: it is compensated in part: leg b's loss is larger", "not compensated: bus sag (it is measured)",
     ]  # fmt: skip
