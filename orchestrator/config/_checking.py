@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from orchestrator.config._loads import Load, load_of
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.config._requirements import Requirements
-from orchestrator.config._slips import nameplate_doubts, peak_current_question
+from orchestrator.config._slips import nameplate_doubts, root_two_question
 from orchestrator.formatting.quantities import quantity
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
 from protocols import Capabilities, CapabilityError, Motor, Point, Strict
@@ -131,7 +131,7 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
             *plan.notes,
             *_heat_notes(plan, rms),
             *(capabilities.notes if capabilities else ()),
-            *peak_current_question(plan.procedure.motor),
+            *root_two_question(plan.procedure.motor),
             *_measurable_notes(plan.procedure.motor),
         ),
     )
@@ -198,8 +198,9 @@ def _measurable_notes(motor: Motor) -> list[str]:
     ]
     if not expected:
         return []
+    stated = " and ".join(quantity(x, unit) for x, unit in ((ohm, "Ω"), (henry, "H")) if x is not None)
     between = f"motor: R and L are taken as of a phase: between two terminals {' and '.join(expected)}"
-    return [f"{between}; if the data sheet states that, halve it"]
+    return [f"{between}; if {'they read' if ohm and henry else 'it reads'} {stated}, halve these values in the file"]
 
 
 def _limit_notes(plan: Plan) -> list[str]:

@@ -67,6 +67,12 @@ class Slip:
         """Whether it asks the question of another one again, about some of the same fields."""
         return self.words.endswith(other.words.removeprefix("in ")) and bool(set(self.fields) & set(other.fields))
 
+    def question(self, values: Values) -> str:
+        """The question, with the corrected values and without its mark."""
+        right = ", ".join(f"{value:.4g}" for value in self.corrected(values).values())
+        fields = " and ".join(f"motor.{name}" for name in self.fields)
+        return f"{fields}: {right} would fit: is the stated value {self.words}"
+
     def applied(self, values: Values) -> dict[str, float]:
         """All values, corrected."""
         return {**values, **self.corrected(values)}
@@ -111,6 +117,12 @@ SLIPS = (
     _times((_PAIRS,), 0.5, "the number of poles", POLES),
 )
 
+ROOT_TWO_SLIPS = (
+    _times((_I,), math.sqrt(0.5), "the peak, not the rms value", HABIT),
+    _times((_PSI,), math.sqrt(0.5), "of a torque constant in Nm per ampere rms, not peak"),
+)
+"""Slips that make the torque a root of two too large."""
+
 
 def nameplate_doubts(motor: Motor) -> Iterator[str]:
     """Contradictions of a nameplate and likely slips, a sentence each; none where it is consistent or too incomplete.
@@ -133,9 +145,7 @@ def nameplate_questions(motor: Motor) -> Iterator[str]:
     """The slips alone of `nameplate_doubts`, each with the corrected values; a usual DC bus as the rated voltage."""
     values = stated_values(motor)
     for slip in likely_slips(values):
-        right = ", ".join(f"{value:.4g}" for value in slip.corrected(values).values())
-        fields = " and ".join(f"motor.{name}" for name in slip.fields)
-        yield f"{fields}: {right} would fit: is the stated value {slip.words}?"
+        yield f"{slip.question(values)}?"
     voltage_v = values.get(_V)
     if voltage_v in USUAL_BUSES_V and not is_judged(values, _V):
         text = (
@@ -144,25 +154,28 @@ def nameplate_questions(motor: Motor) -> Iterator[str]:
         yield f"motor.{_V}: {text}: is the stated value the bus?"
 
 
-def peak_current_question(motor: Motor) -> Iterator[str]:
-    """Whether the rated current is a peak value, where flux, current and torque differ by just that factor.
+def root_two_question(motor: Motor) -> Iterator[str]:
+    """Which value is a root of two too large, where flux, current and torque differ by just that factor.
 
     Only where no likelier slip is named. A torque sqrt 2 times the rated one is not unusual by itself, but a nameplate
-    whose numbers agree after the division is rarely a coincidence.
+    whose numbers agree after the division is rarely a coincidence. The torque alone does not tell current and flux
+    apart: both are asked about, first the one with which voltage and power agree better.
     """
     values = completed(stated_values(motor))
     if not all(name in values for name in (_PAIRS, _PSI, _I, _T)) or likely_slips(stated_values(motor)):
         return
+    fitting = [
+        slip
+        for slip in ROOT_TWO_SLIPS
+        if abs(largest_torque_nm(slip.applied(values)) / values[_T] - 1.0) <= MAX_COINCIDENCE
+    ]
+    if not fitting:
+        return
+    fitting.sort(key=lambda slip: mismatch(slip.applied(values)) - 2.0 * math.log(slip.probability))
     torque_nm = largest_torque_nm(values)
-    right_a = values[_I] * math.sqrt(0.5)
-    if abs(largest_torque_nm({**values, _I: right_a}) / values[_T] - 1.0) <= MAX_COINCIDENCE:
-        made = (
-            f"{values[_PAIRS]:g} pole pairs, {values[_PSI]:.4g} Wb and {values[_I]:.4g} A rms make {torque_nm:.3g} Nm"
-        )
-        yield (
-            f"motor.{_I}: {right_a:.4g} would fit: is the stated value the peak, not the rms value? As it is written, "
-            f"{made}, √2 times rated_torque_nm"
-        )
+    asked = ", or ".join(slip.question(values) for slip in fitting)
+    made = f"{values[_PAIRS]:g} pole pairs, {values[_PSI]:.4g} Wb and {values[_I]:.4g} A rms make {torque_nm:.3g} Nm"
+    yield f"{asked}? As it is written, {made}, {torque_nm / values[_T]:.3g} times rated_torque_nm"
 
 
 def likely_slips(values: Values) -> list[Slip]:

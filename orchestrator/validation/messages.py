@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin
 
@@ -28,6 +28,8 @@ _EXPECTED = {
 }
 MAX_NAME_LENGTH = 200
 """Characters of an unknown name that are compared; the time grows with their square."""
+MAX_DEPTH = 4
+"""Sections within each other that are searched for the place of a misplaced key."""
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+\b.*)")
 OTHER_MOTOR_KEYS = {
     "kv": "state pm_flux_wb, which is 5.513 / (pole_pairs x kv) for kv in rpm per volt (peak, line to line)",
@@ -129,7 +131,8 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
     if kind == "extra_forbidden":
         valid = _valid_keys(model, found["loc"][:-1])
         other = OTHER_MOTOR_KEYS.get(key.lower().split("_")[0]) if "pm_flux_wb" in valid else None
-        return f"unknown key; {other or _of_settings(key, valid) or suggestion(key, valid)}"
+        elsewhere = "" if nearest(key, valid) else _elsewhere(key, model, found["loc"][:-1])
+        return f"unknown key; {other or _of_settings(key, valid) or elsewhere or suggestion(key, valid)}"
     if kind == "missing":
         return "missing"
     if kind == "union_tag_invalid":
@@ -141,7 +144,9 @@ def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
         whole = "whole number" if kind.startswith("int") else "number"
         return f"expected a {whole}{_unit(path)}, got {_shown(found['input'])}{_comma_hint(found['input'])}"
     if kind == "literal_error":
-        return f"expected {context['expected']}, got {_shown(found['input'])}"
+        keys = found["input"] if isinstance(found["input"], dict) else ()
+        hints = [hint for key in keys if (hint := _elsewhere(str(key), model, found["loc"][:-1]))]
+        return "; ".join([f"expected {context['expected']}, got {_shown(found['input'])}", *hints])
     if kind in _EXPECTED:
         return f"expected {_EXPECTED[kind]}, got {_shown(found['input'])}"
     message = str(found["msg"]).removeprefix("Value error, ").removeprefix("Input ")
@@ -180,6 +185,10 @@ def _shown(value: object) -> str:
 
 
 def _valid_keys(model: type[BaseModel] | None, location: Sequence[str | int]) -> set[str]:
+    return {name for m in _models_at(model, location) for name in m.model_fields}
+
+
+def _models_at(model: type[BaseModel] | None, location: Sequence[str | int]) -> list[type[BaseModel]]:
     here, named_freely = [model] if model is not None else [], False
     for key in location:
         if isinstance(key, str) and not named_freely:
@@ -188,7 +197,30 @@ def _valid_keys(model: type[BaseModel] | None, location: Sequence[str | int]) ->
             named_freely = any(get_origin(f.annotation) is dict for f in fields)
         else:
             named_freely = False
-    return {name for m in here for name in m.model_fields}
+    return here
+
+
+def _elsewhere(key: str, model: type[BaseModel] | None, location: Sequence[str | int]) -> str:
+    """Where below a place a key is written that does not belong there itself, by its name without a unit; or empty."""
+    name, _, unit = key.rpartition("_")
+    stem = name if name and unit in _UNITS else key
+    places = [place for here in _models_at(model, location) for place in _places(here, stem)]
+    return f"for {key} there is {' or '.join(dict.fromkeys(places))}" if places else ""
+
+
+def _places(model: type[BaseModel], stem: str, within: tuple[str, ...] = ()) -> Iterator[str]:
+    """Dotted paths of values named so, apart from their unit, and of those that a section of this name requires."""
+    for name, field in model.model_fields.items():
+        path = (*within, name)
+        models = _models_in(field.annotation) if len(path) < MAX_DEPTH else []
+        own_stem, _, unit = name.rpartition("_")
+        if not models and (name == stem or (own_stem == stem and unit in _UNITS)):
+            yield ".".join(path)
+        for inner in models:
+            if name == stem:
+                yield from (".".join((*path, n)) for n, f in inner.model_fields.items() if f.is_required())
+            else:
+                yield from _places(inner, stem, path)
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:

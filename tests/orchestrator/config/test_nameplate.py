@@ -103,3 +103,4 @@ def test_a_current_limit_below_the_rated_peak_is_noted(limit_a: float, words: st
 def test_check_says_what_is_measured_between_two_terminals() -> None:
     stated = called("check", "demo").stdout
     assert "between two terminals an ohmmeter should read 8.5 Ω and a bridge 86.5 mH" in stated
+    assert "if they read 4.25 Ω and 43.2 mH, halve these values in the file" in stated

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from orchestrator.config._nameplate import broken_relations, mismatch, stated_values
-from orchestrator.config._slips import SLIPS, Slip, likely_slips, nameplate_doubts, peak_current_question
+from orchestrator.config._slips import SLIPS, Slip, likely_slips, nameplate_doubts, root_two_question
 from protocols import Motor
 from tests.orchestrator.config.nameplates import SIX
 
@@ -136,13 +136,22 @@ AX_400 = {
 
 
 def test_a_peak_current_that_agrees_with_flux_and_torque_after_a_division_by_root_two_is_asked_about() -> None:
-    (question,) = peak_current_question(Motor.model_validate({**AX_400, "rated_current_rms_a": 13.6}))
+    (question,) = root_two_question(Motor.model_validate({**AX_400, "rated_current_rms_a": 13.6}))
     assert question.startswith("motor.rated_current_rms_a: 9.617 would fit: is the stated value the peak")
-    assert "make 1.8 Nm, √2 times rated_torque_nm" in question
+    assert "make 1.8 Nm, 1.42 times rated_torque_nm" in question
     for current_a in (9.6, 12.0, 15.0):
-        assert list(peak_current_question(Motor.model_validate({**AX_400, "rated_current_rms_a": current_a}))) == []
+        assert list(root_two_question(Motor.model_validate({**AX_400, "rated_current_rms_a": current_a}))) == []
+
+
+def test_a_flux_that_is_a_root_of_two_too_large_is_asked_about_beside_the_current() -> None:
+    values = {**AX_400, "pm_flux_wb": math.sqrt(2.0) * AX_400["pm_flux_wb"]}  # type: ignore[operator]
+    (question,) = root_two_question(Motor.model_validate(values))
+    assert (
+        "motor.pm_flux_wb: 0.01248 would fit: is the stated value of a torque constant in Nm per ampere rms" in question
+    )
+    assert "motor.rated_current_rms_a: 6.788 would fit" in question
 
 
 @pytest.mark.parametrize("motor", SIX.values(), ids=list(SIX))
-def test_no_right_nameplate_is_asked_about_its_peak_current(motor: Motor) -> None:
-    assert list(peak_current_question(motor)) == []
+def test_no_right_nameplate_is_asked_about_a_root_of_two(motor: Motor) -> None:
+    assert list(root_two_question(motor)) == []

@@ -22,7 +22,14 @@ class Square(Strict):
     offsets_m: tuple[tuple[float, float], ...] | None = None
 
 
+class Border(Strict):
+    width_m: float
+    style: Literal["solid", "dashed"] = "solid"
+
+
 class Drawing(Strict):
+    border: Border | None = None
+    edge: Literal["sharp", "soft"] = "sharp"
     shapes: tuple[Annotated[Round | Square, Field(discriminator="kind")], ...]
     frame: Square | None = None
     count: int = 0
@@ -48,6 +55,12 @@ def problem_of(raw: dict[str, Any]) -> Problem:
         ({"shapes": [{"radius_m": 1}]}, "shapes.0", "kind is missing"),
         ({"shapes": [{"kind": "round", "radius_m": "1 m"}]}, "shapes.0.radius_m", "expected a number, got '1 m'"),
         ({"shapes": 3}, "shapes", "expected a list, got 3"),
+        (
+            {"shapes": [], "edge": {"width_m": 1}},
+            "edge",
+            "expected 'sharp' or 'soft', got {'width_m': 1}; for width_m there is border.width_m",
+        ),
+        ({"shapes": [], "radius_m": 1}, "radius_m", "unknown key; for radius_m there is shapes.radius_m"),
         ({"shapes": [], "frame": 3}, "frame", "expected keys and values, got 3"),
         ({"shapes": [], "count": 1.5}, "count", "expected a whole number, got 1.5"),
         (
