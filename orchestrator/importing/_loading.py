@@ -17,6 +17,10 @@ from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, read_document
 from protocols import InputError, ProcedureError
 
+SIMULATED = "simulated"
+"""Drive of a motor file that no log is of: such a file names there what `run` drives."""
+UNKNOWN = "unknown"
+
 _Model = TypeVar("_Model", bound=BaseModel)
 
 
@@ -102,7 +106,7 @@ def read_drive(path: Path) -> ImportedDrive | None:
     if not isinstance(section, dict) or "dc_bus_voltage_v" not in section:
         return None
     known = {key: value for key, value in section.items() if key in ImportedDrive.model_fields}
-    return _validated(document, ImportedDrive, {"name": "unknown", **known}, ("drive",))
+    return _validated(document, ImportedDrive, {"name": UNKNOWN, **_logged(known)}, ("drive",))
 
 
 def _rule(document: Document, index: int, entry: Any) -> tuple[FileRule, ImportMapping]:
@@ -125,7 +129,13 @@ def _lay_in(document: Document, section: str, path: Path) -> None:
     if section not in other.data:
         raise InputError(other.name, section, missing_section(section, other.data))
     places = {keys: place for keys, place in other.places.items() if keys[0] == section}
-    document.replace((section,), other.data[section], places)
+    document.replace((section,), _logged(other.data[section]), places)
+
+
+def _logged(section: Any) -> Any:
+    """A section of a motor file for a log, which is not of the simulated drive."""
+    is_simulated = isinstance(section, dict) and section.get("name") == SIMULATED
+    return {**section, "name": UNKNOWN} if is_simulated else section
 
 
 def _validated(

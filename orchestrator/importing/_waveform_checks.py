@@ -69,6 +69,7 @@ class WaveformChecks:
         self._power_w = self._square_a2 = 0.0
         self._with_the_current = False
         self._lags: list[Alignment] = []
+        self._back_emfs: list[tuple[str, str, str]] = []
 
     def judge(self, w: Waveforms) -> None:
         """Check one segment; raises `InputError` for a finding that the mapping does not accept."""
@@ -99,6 +100,9 @@ class WaveformChecks:
         self._current_too_small(file)
         self._voltage_too_small(file)
         self._resistance(file)
+        # A current in a wrong unit explains no voltage either, so units come first.
+        for where, names, problem in self._back_emfs:
+            self._findings.doubt(Finding.TURNING_ROTOR, where, names, problem)
         self._lag()
 
     def _bus(self, w: Waveforms) -> None:
@@ -182,7 +186,7 @@ class WaveformChecks:
         # Dead time and drops are far below a twentieth of the bus.
         if left is not None and left > 0.05 * bus:
             problem = f"{left:.3g} V (mean from {w.rows} on) exceed the drop at the nameplate's {ohm:g} ohm: back-EMF?"
-            self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._voltage_names, f"{problem} {where}")
+            self._back_emfs.append((w.file, self._voltage_names, f"{problem} {where}"))
 
     def _zero_sequence(self, w: Waveforms, i_abc: Numbers) -> None:
         total = i_abc.sum(axis=1)

@@ -20,7 +20,7 @@ from orchestrator.importing._vectors import angle_rad, vectors
 from orchestrator.importing.guessing._columns import Columns, columns_of, variables_of
 from orchestrator.importing.guessing._map_names import roles_of_map
 from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
-from orchestrator.importing.guessing._rules import MAX_RULES, rules_by_label, rules_by_time
+from orchestrator.importing.guessing._rules import MAX_RULES, Rule, repeated_holds, rules_by_label, rules_by_time
 from orchestrator.importing.guessing._stages import Stretch, stretches_of
 from orchestrator.importing.guessing._units import RMS
 from protocols import InputError, SegmentStage
@@ -60,7 +60,9 @@ class _Lines:
         if doubt:
             self.doubts.append(f"{key}: {why}")
 
-    def say_rules(self, rules: list[tuple[dict[str, Any], str]]) -> None:
+    def say_rules(self, rules: list[Rule]) -> None:
+        if "pwm_frequency" not in self.data and (repeated := repeated_holds(rules)):
+            self.doubts.append(repeated)
         self.data["segments"] = [rule for rule, _ in rules]
         self._lines.append("segments:")
         self._lines += [f"  - {_yaml(rule)}  # {why}" for rule, why in rules]
@@ -379,7 +381,7 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
             problem = f"the kind of excitation changes {len(found) - 1} times, which is no log of experiments"
             wanted = "add a column with one label for each kind of experiment (holds, sweeps, injections)"
             raise InputError(str(path), "", f"{problem}; {wanted}")
-        lines.say_rules(rules_by_time(found))
+        lines.say_rules(rules_by_time(found, time_s))
 
 
 def _longest(time_s: Numbers, i: Numbers, v: Numbers, rows: Any, largest: tuple[float, float]) -> Stretch | None:

@@ -5,32 +5,58 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
+from orchestrator.importing._source import Numbers
 from orchestrator.importing.guessing._stages import Stretch
 from protocols import SegmentStage
 
 MAX_RULES = 1000
 """Largest number of stretches in a log of experiments."""
+MAX_DIGITS = 10
+"""Decimals of a second that are tried."""
 _STAGES = {stage.value for stage in SegmentStage}
 
 Rule = tuple[dict[str, Any], str]
 """An entry of `segments`, and its reason."""
 
 
-def rules_by_time(found: Sequence[Stretch]) -> list[Rule]:
-    """A rule for each stretch, from its start to the start of the next."""
+def rules_by_time(found: Sequence[Stretch], time_s: Numbers) -> list[Rule]:
+    """A rule for each stretch, from between its first row and the row before to the start of the next."""
+    starts = [_between_rows(one.start_s, time_s) for one in found]
     rules = []
     for k, one in enumerate(found):
-        span = {} if k == 0 else {"from_s": _just_before(one.start_s)}
-        span |= {} if k == len(found) - 1 else {"to_s": _just_before(found[k + 1].start_s)}
+        span = {} if k == 0 else {"from_s": starts[k]}
+        span |= {} if k == len(found) - 1 else {"to_s": starts[k + 1]}
         rules.append(({"stage": one.stage.value, **span}, _why(one)))
     return rules
 
 
-def _just_before(time_s: float) -> float:
-    """The time rounded down to a microsecond, so that rounding of a stamp's digits excludes no row."""
-    return math.floor(time_s * 1e6) / 1e6
+def repeated_holds(rules: Sequence[Rule]) -> str:
+    """That currents are held at distant times, perhaps at another PWM frequency; empty where they are not."""
+    holds = [k for k, (rule, _) in enumerate(rules) if rule["stage"] == SegmentStage.RESISTANCE.value]
+    again = [rules[k][0] for j, k in pairwise(holds) if k > j + 1]
+    if not again:
+        return ""
+    start = f"from_s: {again[0]['from_s']}" if "from_s" in again[0] else f"label: {again[0].get('label')}"
+    return (
+        f"segments: currents are held again, after other stages ({start}): if at another PWM frequency, add "
+        "`settings: {pwm_frequency_hz: ...}` there; without, one PWM frequency is assumed"
+    )
+
+
+def _between_rows(start_s: float, time_s: Numbers) -> float:
+    """The shortest decimal in the middle half between a row and the one before: no rounding of stamps moves a row."""
+    row = int(np.searchsorted(time_s, start_s))
+    if row == 0:
+        return start_s
+    before_s = float(time_s[row - 1])
+    low_s, high_s = (before_s + part * (start_s - before_s) for part in (0.25, 0.75))
+    rounded = (math.floor(high_s * 10.0**digits) / 10.0**digits for digits in range(MAX_DIGITS))
+    return next((x for x in rounded if x >= low_s), 0.5 * (low_s + high_s))
 
 
 def rules_by_label(found: Mapping[str, Stretch | None]) -> list[Rule]:

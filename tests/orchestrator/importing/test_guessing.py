@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -154,6 +155,25 @@ def test_the_pwm_frequency_is_requested_with_what_it_is_good_for(tmp_path: Path)
     assert any(doubt.startswith(requested) for doubt in guessed.doubts)
     assert any("settings: {pwm_frequency_hz: 20000}" in doubt for doubt in guessed.doubts)
     assert "pwm_frequency_hz: null}" in guessed.text
+
+
+def test_a_stretch_begins_between_two_rows_at_a_round_time_and_holds_that_return_are_questioned(tmp_path: Path) -> None:
+    both = [*LOG.stage, *[stage for stage in LOG.stage if stage == "resistance"]]
+    again = np.asarray(LOG.stage) == "resistance"
+    names = {"ia": LOG.phases["ia"], "ib": LOG.phases["ib"], "va": LOG.volts["va"], "vb": LOG.volts["vb"]}
+    path = text(
+        tmp_path / "log.csv", "t," + ",".join(names) + "\n",
+        [np.arange(len(both)) / 1e4, *(np.concatenate([x, x[again]]) for x in names.values())],
+    )  # fmt: skip
+    guessed = guess_mapping(path)
+    starts = [float(x) for x in re.findall(r"from_s: ([\d.]+)", guessed.text)]
+    assert len(starts) >= 4
+    for start in starts:
+        assert 0.25 - 1e-6 <= start * 1e4 % 1.0 <= 0.75 + 1e-6
+        assert len(f"{start:.9f}".rstrip("0").partition(".")[2]) <= 5
+    (asked,) = [doubt for doubt in guessed.doubts if doubt.startswith("segments: currents are held again")]
+    assert f"from_s: {starts[-1]}" in asked
+    assert "one PWM frequency is assumed" in asked
 
 
 def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.importing._loading import read_mapping
+from orchestrator.importing._loading import read_drive, read_mapping
 from protocols import InputError
 
 REST = """
@@ -52,3 +52,15 @@ def test_a_set_point_beside_a_rules_keys_is_refused_with_where_it_is_written(tmp
     path.write_text(MOTOR + REST.replace("{stage: steps}", "{stage: steps, pwm_frequency_hz: 20000}"))
     with pytest.raises(InputError, match=r"unknown key; a set-point .* settings: \{pwm_frequency_hz: \.\.\.\}"):
         read_mapping(path)
+
+
+def test_a_log_is_not_of_the_simulated_drive_that_a_motor_file_names(tmp_path: Path) -> None:
+    plate = tmp_path / "plate.yaml"
+    plate.write_text(MOTOR + "drive: {name: simulated, dc_bus_voltage_v: 48}\n")
+    given = read_drive(plate)
+    assert given is not None
+    assert (given.name, given.dc_bus_voltage_v) == ("unknown", 48.0)
+    path = tmp_path / "mapping.yaml"
+    rest = REST.replace("{name: bench supply, dc_bus_voltage_v: 5000 mV, pwm_frequency_hz: 20 kHz}", "plate.yaml")
+    path.write_text(MOTOR + rest)
+    assert read_mapping(path).common.drive.name == "unknown"

@@ -54,6 +54,16 @@ def test_a_running_motor_in_its_own_frame_is_reported_by_its_back_emf(tmp_path: 
         desk.run()
 
 
+def test_a_current_in_the_wrong_unit_is_reported_before_a_back_emf(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    amps = 7.0 + np.random.default_rng(0).normal(scale=0.01, size=4000)
+    desk.write("log.csv", {"i_d": amps, "i_q": 0.0 * amps, "v_d": 4.25 * amps, "v_q": 0.0 * amps})
+    desk.mapping = SEGMENTS % "resistance"
+    desk.mapping += f"current: {IN_DQ % ('i', 'i', 'mA')}voltage: {IN_DQ % ('v', 'v', 'V')}"
+    with pytest.raises(InputError, match=r"nowhere more than 0.007\d* A.*; read in mA, A would fit"):
+        desk.run()
+
+
 def test_nothing_that_a_locked_rotor_does_is_taken_for_turning() -> None:
     recording = open_recording(REDUCED)
     for segment in recording.segments():
