@@ -158,21 +158,18 @@ def test_the_pwm_frequency_is_requested_with_what_it_is_good_for(tmp_path: Path)
 
 
 def test_a_stretch_begins_between_two_rows_at_a_round_time_and_holds_that_return_are_questioned(tmp_path: Path) -> None:
-    both = [*LOG.stage, *[stage for stage in LOG.stage if stage == "resistance"]]
-    again = np.asarray(LOG.stage) == "resistance"
-    names = {"ia": LOG.phases["ia"], "ib": LOG.phases["ib"], "va": LOG.volts["va"], "vb": LOG.volts["vb"]}
-    path = text(
-        tmp_path / "log.csv", "t," + ",".join(names) + "\n",
-        [np.arange(len(both)) / 1e4, *(np.concatenate([x, x[again]]) for x in names.values())],
-    )  # fmt: skip
+    holds = np.repeat([1.0, 2.0], 5000)
+    amps = np.concatenate([holds, 2.0 * np.sin(np.arange(20000) / 2e4 * 2.0 * np.pi + 0.5 * np.pi), holds])
+    amps += np.random.default_rng(0).normal(scale=1e-4, size=amps.size)
+    log = {"ia": amps, "ib": -0.5 * amps, "va": 4.0 * amps, "vb": -2.0 * amps}
+    path = text(tmp_path / "log.csv", f"t,{','.join(log)}\n", [np.arange(amps.size) / 1e4, *log.values()])
     guessed = guess_mapping(path)
     starts = [float(x) for x in re.findall(r"from_s: ([\d.]+)", guessed.text)]
-    assert len(starts) >= 4
     for start in starts:
         assert 0.25 - 1e-6 <= start * 1e4 % 1.0 <= 0.75 + 1e-6
         assert len(f"{start:.9f}".rstrip("0").partition(".")[2]) <= 5
     (asked,) = [doubt for doubt in guessed.doubts if doubt.startswith("segments: currents are held again")]
-    assert f"from_s: {starts[-1]}" in asked
+    assert "from_s: 2." in asked or "from_s: 3." in asked
     assert "one PWM frequency is assumed" in asked
 
 
