@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, observable_effects, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import left_of_excitation
 from orchestrator.diagnosis.judgement.sufficiency import solvable
@@ -38,7 +38,7 @@ from orchestrator.discovery.writing import NamedLaw, gauge_of, sentence_of
 from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording
-from protocols import DiagnosisReport, Effect, MotorModel
+from protocols import DiagnosisReport, Effect, MotorModel, ParameterRole
 
 EXPLAINED = ("clean", "explained", "explained_in_another_form", "convention")
 MAX_SHARE_OF_SEGMENT: float = 0.5
@@ -230,14 +230,36 @@ def _form(fitted: FittedLaw, best: FittedLaw, noise: float) -> FoundForm:
     )
 
 
+def _stood_in(whole: Fit, after: Fit) -> tuple[str, ...]:
+    """Effects of a model that are not in the one with laws, or all of whose free amplitudes have zero within 95 %."""
+    std = list(np.sqrt(np.diag(after.covariance(max(after.chi2_per_dof, 1.0)))))
+    at_zero = set()
+    for term in reversed(after.model.active):
+        own, std = std[len(std) - len(term.free) :], std[: len(std) - len(term.free)]
+        spread = dict(zip(term.free, own, strict=True))
+        sizes = [p for p in term.candidate.parameters if p.role is ParameterRole.AMPLITUDE and p.name in term.free]
+        if sizes and all(
+            _low_and_high(term, p.name, spread)[0] <= p.neutral <= _low_and_high(term, p.name, spread)[1] for p in sizes
+        ):
+            at_zero.add(term.name)
+    left = set(after.model.names) - at_zero
+    return tuple(name for name in whole.model.names if name not in left)
+
+
+def _low_and_high(term: EffectTerm, name: str, spread: Mapping[str, float]) -> tuple[float, float]:
+    """The 95 % interval of a parameter, by the standard deviations of its standardised values."""
+    x, s = term.standardised_value(name), SIGMAS * float(spread.get(name, 0.0))
+    low, high = sorted(term.moved(name, x + sign * s).values[name] for sign in (-1.0, 1.0))
+    return low, high
+
+
 def _constants(fitted: FittedLaw) -> list[Constant]:
     term = fitted.term
     covariance = fitted.fit.covariance(max(fitted.chi2, 1.0))
     spread = dict(zip(term.free, np.sqrt(np.diag(covariance))[-len(term.free) :], strict=True))
     found = []
     for p in term.candidate.parameters:
-        x, s = term.standardised_value(p.name), SIGMAS * float(spread.get(p.name, 0.0))
-        ends = sorted(term.moved(p.name, x + sign * s).values[p.name] for sign in (-1.0, 1.0))
+        ends = _low_and_high(term, p.name, spread)
         found.append(Constant(name=p.name, value=term.values[p.name], low=ends[0], high=ends[1], unit=p.unit))
     return found
 
@@ -330,6 +352,7 @@ def _report(
         laws=laws,
         ranking=tuple(_ranked(s) for s in (outcome.ranking[:RANKED] if outcome is not None else ())),
         kept_effects=tuple(name for name in after.model.names if name not in learned),
+        stood_in=_stood_in(before, after) if laws and outcome is not None else (),
         seconds=time.monotonic() - began,
     )
 

@@ -101,6 +101,12 @@ class SharedColumns:
         return seen[1]
 
 
+def in_words(hypothesis: Hypothesis) -> str:
+    """Place, quantity and phase of a law: ``a voltage that each leg loses, over its phase current``."""
+    phase = PHASE_NAMES[hypothesis.phases]
+    return f"{hypothesis.place.text}, over {hypothesis.quantity.text}{f', in phase {phase} alone' if phase else ''}"
+
+
 class FlexibleEffect:
     """A hypothesis as an effect, for the diagnosis' fitter."""
 

@@ -111,4 +111,6 @@ class Discovery(_Frozen):
     ranking: tuple[RankedHypothesis, ...]
     kept_effects: tuple[str, ...]
     """Effects of the library that stay in the model beside the law."""
+    stood_in: tuple[str, ...] = ()
+    """Effects of the diagnosis' model that the law replaces, or beside which zero fits: `remove` takes them out."""
     seconds: float

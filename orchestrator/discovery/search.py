@@ -8,7 +8,8 @@ more than noise is left, a further law is looked for beside the first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
-from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses, line_hypotheses
+from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses, in_words, line_hypotheses
 from orchestrator.discovery.law import POWER_BOUNDS, Law, Line, Table
 from orchestrator.discovery.laws import (
     FittedLaw,
@@ -32,6 +33,7 @@ from orchestrator.discovery.laws import (
 )
 from orchestrator.discovery.proposals import gradient_over, step_places
 from orchestrator.discovery.ranking import Score, rank
+from orchestrator.formatting.quantities import duration
 
 MAX_LAWS: int = 2
 NEAR: float = 1.5
@@ -232,8 +234,8 @@ def _formed(
 ) -> LearnedLaw | None:
     """The flexible laws fitted beside a model, and the short forms of the best; None where it has none."""
     flexible = []
-    for score in scores:
-        tell(f"a curve: {score.hypothesis.key}")
+    for step, score in zip(_steps("curve", len(scores), tell), scores, strict=True):
+        step(in_words(score.hypothesis))
         flexible.append(fit_flexible(setup.fitter, fit, score))
     flexible = [f for f in flexible if keeps_scale(f, fit)]
     if not flexible:
@@ -316,14 +318,23 @@ def _in_forms(
     options: list[FormFit | Table | Line] = list(_promising(fitting_forms(score)))
     options += [option for option in (table_of(score), line_of(score)) if option is not None]
     fitted = []
-    for option in options:
+    for step, option in zip(_steps("formula", len(options), tell), options, strict=True):
         if isinstance(option, FormFit) and option.form is not None and option.form.power_name == "sharpness":
             option = _located(setup, fit, score.hypothesis, option)
         law = Law(score.hypothesis, option)
-        tell(f"a form: {law.formula}")
+        step(f"y = {law.formula}")
         one = fit_law(setup, fit, law, name)
         fitted.append(replace(one, law=with_fitted_constants(one)))
     return fitted
+
+
+def _steps(what: str, count: int, tell: Callable[[str], None]) -> Iterator[Callable[[str], None]]:
+    """For each step a function that tells it, with the time that the rest of them takes as the steps before did."""
+    began = time.monotonic()
+    for k in range(count):
+        each_s = (time.monotonic() - began) / k if k else None
+        left = "" if each_s is None else f", {duration(each_s * (count - k))} left of these"
+        yield lambda text, k=k, left=left: tell(f"{what} {k + 1} of {count}{left}: {text}")  # type: ignore[misc]
 
 
 def _located(setup: DiagnosisSetup, fit: Fit, hypothesis: Hypothesis, step: FormFit) -> FormFit:

@@ -9,6 +9,9 @@ from protocols import EstimationReport, NextExperiment, Usability
 NOTHING_TO_DECIDE = "nothing left to decide"
 """The section of a diagnosis where no measurement is proposed."""
 
+DISCOVER_FIRST = "`fluxbench discover RUN` looks for the law that is missing"
+"""What comes first where no effect of the library explains a recording."""
+
 
 def experiment_to_decide(proposal: NextExperiment) -> str:
     """The proposed stage with its duration, and the two effects that it separates."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
+from orchestrator.formatting.deciding import DISCOVER_FIRST, NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, in_degrees, operating_point, predicted_separation, quantity
 from orchestrator.formatting.results import by_import
@@ -51,18 +51,29 @@ def _advice(
     report: DiagnosisReport, words: DiagnosisWords, run: str, *, is_imported: bool
 ) -> tuple[str, Sequence[FoundEffect]]:
     """What to do about the model, and the causes that it says to compensate or to take from the model."""
-    to_decide = typographic(words.to_decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
+    discover_first = f"{DISCOVER_FIRST}; "
+    first = discover_first if words.to_decide.startswith(discover_first) else ""
+    text, causes = _beside_discovery(report, words.to_decide.removeprefix(first), run, is_imported=is_imported)
+    return f"{first.replace('fluxbench discover RUN', f'fluxbench discover {run}')}{text}", causes
+
+
+def _beside_discovery(
+    report: DiagnosisReport, decide: str, run: str, *, is_imported: bool
+) -> tuple[str, Sequence[FoundEffect]]:
+    to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
     if report.convention is not None:
         return f"{to_decide}; then diagnose again.", ()
-    if proposed is not None and words.to_decide.startswith(experiment_to_decide(proposed)):
+    if proposed is not None and decide.startswith(experiment_to_decide(proposed)):
         certain, also = _certain(report), to_decide.removeprefix(typographic(experiment_to_decide(proposed)))
         measure = f"{_measurement(proposed, run, is_imported=is_imported)}{also}"
         # The experiment comes first: its stage joins the recording, whose drive has no compensation yet.
         return (f"{measure}; then {_remedy(certain)}." if certain else f"{measure}."), certain
     if report.verdict == "clean":
         return "nothing is missing in it.", ()
-    if report.verdict in ("mostly_explained", "unknown_remains"):
+    if report.verdict == "unknown_remains":
+        return f"{to_decide}.", ()
+    if report.verdict == "mostly_explained":
         return f"{to_decide}; `fluxbench discover {run}` looks for the law that is missing.", ()
     if report.verdict == "cannot_tell":
         return f"{to_decide}.", ()
@@ -78,7 +89,7 @@ def _advice(
     causes = [effect for effect in report.effects if effect.material is not False]
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     rest = f"; {listed(small)}, named too, {'is' if len(small) == 1 else 'are'} too small to matter" if small else ""
-    undecided = "" if words.to_decide == NOTHING_TO_DECIDE else f"{to_decide}; "
+    undecided = "" if decide == NOTHING_TO_DECIDE else f"{to_decide}; "
     return f"{undecided}{_remedy(causes)}{rest}.", causes
 
 

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, needed_contrasts
 from orchestrator.diagnosis.weak_form.segments import SegmentData
-from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
+from orchestrator.formatting.deciding import DISCOVER_FIRST, NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import (
     in_degrees,
@@ -73,7 +73,7 @@ def in_words(diagnosis: Diagnosis) -> DiagnosisWords:
         what_it_looks_like="noise" if clean else _looks(diagnosis),
         likely_cause=_cause(diagnosis),
         if_added=_gain(diagnosis),
-        to_decide=_next(diagnosis),
+        to_decide=_to_decide(diagnosis),
     )
 
 
@@ -269,6 +269,13 @@ def _error_before_and_after(report: DiagnosisReport) -> tuple[str, str]:
     return quantity(before.heldout_rms_v, "V"), quantity(after.heldout_rms_v, "V")
 
 
+def _to_decide(diagnosis: Diagnosis) -> str:
+    """What to do next; where an unknown remains, the search for its law comes before any experiment."""
+    report, further = diagnosis.report, _next(diagnosis)
+    is_searched = report.verdict == "unknown_remains" and not _time_constant_notes(report)
+    return f"{DISCOVER_FIRST}; {further}" if is_searched else further
+
+
 def _next(diagnosis: Diagnosis) -> str:
     slow = _time_constant_notes(diagnosis.report)
     if diagnosis.report.verdict == "unknown_remains" and slow:
@@ -304,7 +311,7 @@ def _next(diagnosis: Diagnosis) -> str:
         doubts = [reason for reason in diagnosis.report.reasons if reason.quantity != "ended_early"]
         return f"another recording: {' '.join([*slow, *(doubt.sentence for doubt in doubts[:1])])}"
     if diagnosis.report.verdict == "unknown_remains":
-        return "no experiment of the catalogue; look at the leftover's shape"
+        return "no experiment of the catalogue tells more; the leftover's shape says where it is"
     if diagnosis.report.verdict == "mostly_explained":
         return "a part of the error remains that nothing in the library fits better; look at its shape"
     if diagnosis.report.verdict == "explained_in_another_form":

@@ -158,7 +158,9 @@ def _print_comparison(path: Path, report: CompareReport) -> None:
 
 def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords) -> None:
     say(f"{path}: {plain(report.verdict)}", *(f"  {s}" for s in reason_sentences(report.reasons)), "")
-    say(*columns(list(slots(words))), "")
+    # Commands in the words have RUN for the recording.
+    decide = words.to_decide.replace(" RUN", f" {shlex.quote(str(path))}")
+    say(*columns(list(slots(words.model_copy(update={"to_decide": decide})))), "")
     if report.convention is None:
         _print_ladder(report)
         say_notes([NOISE_FLOOR_MEANING])
@@ -179,7 +181,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
         how = f"`fluxbench run --from {run}` measures it into a run itself" if is_run(path) else by_import(run)
         say(f"to decide, as a stage of a procedure ({how}):")
         say(stage_as_yaml(report.next_experiment.stage))
-    if report.verdict in ("unknown_remains", "mostly_explained"):
+    if report.verdict in ("unknown_remains", "mostly_explained") and "`fluxbench discover" not in decide:
         say(f"`fluxbench discover {path}` looks for the law that is missing, and writes it as an effect.")
 
 

@@ -121,7 +121,11 @@ def next_command(path: Path, found: Discovery, write: Path | None, given: Given)
     if write is None:
         return f"`fluxbench discover {run} --write FILE.py{_options(given)}` writes it as an effect."
     of_add = [("--effects", write), *(pair for pair in given if pair[0] == "--out")]
-    return f"written: {write}; `fluxbench add {run} {names}{_options(of_add)}` adds it to the model"
+    text = f"written: {write}; `fluxbench add {run} {names}{_options(of_add)}` adds it to the model"
+    if not found.stood_in:
+        return text
+    removals = " and ".join(f"`fluxbench remove {run} {name}{_options(of_add)}`" for name in found.stood_in)
+    return f"{text}; then {removals}: the law stands without {listed([plain(name) for name in found.stood_in])}"
 
 
 def library_advice(path: Path, law: FoundLaw, given: Given) -> list[str]:

@@ -77,6 +77,15 @@ def test_it_prints_where_the_law_is_its_form_and_the_fall_of_the_error(
     assert out.endswith("`fluxbench add runs/first mine --effects mine.py` adds it to the model\n")
 
 
+def test_effects_that_stood_in_for_the_law_are_to_be_removed_after_it_is_added(
+    found: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    found["result"] = a_discovery(stood_in=("bus_sag",))
+    assert run_app(["discover", "runs/first", "--write", "mine.py"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "adds it to the model; then `fluxbench remove runs/first bus_sag --effects mine.py`: the law stands" in out
+
+
 def test_a_first_row_that_is_not_the_law_has_its_reason(
     found: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:

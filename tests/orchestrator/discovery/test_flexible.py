@@ -16,7 +16,7 @@ from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
-from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, Ranges, SharedColumns, hypotheses, term_of
+from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, Ranges, SharedColumns, hypotheses, in_words, term_of
 from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale, table_of
 from orchestrator.discovery.ranking import Score, _solved, rank
 from orchestrator.discovery.report import Constant
@@ -300,3 +300,18 @@ def test_a_voltage_before_a_reading_is_that_of_its_own_segment() -> None:
     for start in (0, n):
         np.testing.assert_array_equal(before[start], v[0])
         np.testing.assert_array_equal(before[start + 1 : start + n], v[:-1])
+
+
+def test_steps_are_told_in_words_with_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 3.0, 8.0])
+    monkeypatch.setattr(search, "time", SimpleNamespace(monotonic=lambda: next(clock)))
+    law = Hypothesis(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, CurveBasis(0.0, TOP, 9, "odd", np.inf), 0.01)
+    told: list[str] = []
+    for step in search._steps("curve", 3, told.append):
+        step(in_words(law))
+    words = "a voltage that each leg loses, over its own current, in phase a alone"
+    assert told == [
+        f"curve 1 of 3: {words}",
+        f"curve 2 of 3, 6 s left of these: {words}",
+        f"curve 3 of 3, 4 s left of these: {words}",
+    ]

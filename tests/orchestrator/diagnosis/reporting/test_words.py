@@ -146,7 +146,11 @@ def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Se
 @pytest.mark.parametrize(
     ("verdict", "cause", "next_step"),
     [
-        ("unknown_remains", "and something that no effect of the library explains", "no experiment of the catalogue"),
+        (
+            "unknown_remains",
+            "and something that no effect of the library explains",
+            "`fluxbench discover RUN` looks for the law that is missing; no experiment",
+        ),
         ("mostly_explained", "% of the error remains", "a part of the error remains that nothing"),
     ],
 )

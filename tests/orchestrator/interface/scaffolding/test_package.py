@@ -80,7 +80,8 @@ def test_a_new_effect_is_hidden_in_a_recording_and_named(tmp_path: Path) -> None
         done = in_package(tmp_path / "effect", "hide.py")
         assert done.returncode == 0, done.stdout + done.stderr
         assert "likely cause: fresh (rise 0.0500" in done.stdout, done.stdout
-        assert re.search(r"rise_ohm_per_a2: hidden 0.05, found 0.05\d* \(95 %: 0.04\d+ to 0.05\d*\) ohm/A\^2", done.stdout)
+        found = r"rise_ohm_per_a2: hidden 0.05, found 0.05\d* \(95 %: 0.04\d+ to 0.05\d*\) ohm/A\^2"
+        assert re.search(found, done.stdout), done.stdout
 
 
 @few("kinds", [("drive",), tuple(KINDS)], ids=["drive", "side by side"])
