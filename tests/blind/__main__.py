@@ -74,7 +74,9 @@ def _make(label: str, seed: int, out: Path | None) -> int:
     case = draw_case(kind, int(index), seed)
     path = record(case.bench, case.campaign, out if out is not None else Path(label.replace(":", "-")))
     without = "".join(f" --without {name}" for name in case.without)
-    print(f"{path}: {case.hidden}; fluxbench diagnose {path}{without}")
+    answer = path.with_name(f"{path.name}.answer.txt")
+    answer.write_text(f"{case.hidden}\n", encoding="utf-8")
+    print(f"{path}; its answer is in {answer}; fluxbench diagnose {path}{without}")
     return 0
 
 

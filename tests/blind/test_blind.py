@@ -77,7 +77,11 @@ def test_a_recording_is_whole_and_tells_nothing(tmp_path: Path) -> None:
 
 def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--make", "nuisance:11:too_short", "--seed", "3", "--out", str(tmp_path / "again")]) == 0
-    assert str(tmp_path / "again") in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    answer = tmp_path / "again.answer.txt"
+    assert str(answer) in printed
+    assert answer.read_text().strip()
+    assert answer.read_text().strip() not in printed
     assert json.loads((tmp_path / "again" / "recording.json").read_text())["segments"]
 
 

@@ -58,7 +58,9 @@ def _make(label: str, seed: int, out: Path | None) -> int:
     kind, index = label.split(":")[:2]
     case = draw_case(kind, int(index), seed)
     path = record(case.rig, out if out is not None else Path(label.replace(":", "-")))
-    print(f"{path}: {case.family}, {case.rig.plan}: {case.hidden}; fluxbench diagnose {path}")
+    answer = path.with_name(f"{path.name}.answer.txt")
+    answer.write_text(f"{case.family}, {case.rig.plan}: {case.hidden}\n", encoding="utf-8")
+    print(f"{path}; its answer is in {answer}; fluxbench diagnose {path}")
     return 0
 
 

@@ -86,7 +86,8 @@ def test_gaps_split_a_segment_and_keep_its_time() -> None:
 @pytest.mark.slow
 def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--make", "single:7", "--seed", "7", "--out", str(tmp_path / "again")]) == 0
-    assert "current_filter" in capsys.readouterr().out
+    assert "current_filter" not in capsys.readouterr().out
+    assert "current_filter" in (tmp_path / "again.answer.txt").read_text()
     assert (tmp_path / "again" / "recording.json").exists()
 
 
