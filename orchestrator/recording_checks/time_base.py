@@ -8,6 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from orchestrator.numerics.alignment import alignment_of
+from orchestrator.numerics.types import Array
 from orchestrator.recording_checks.responses import Responses
 from orchestrator.recording_checks.survey import SegmentReadings, Survey, Vectors, parts
 from protocols import Convention, ManifestCorrection, SegmentStage
@@ -25,6 +26,11 @@ MAX_RESPONSE_SHARE_BEFORE_DELAY = 0.12
 """Part of the impulse response, in amplitude, that counts as zero."""
 MIN_RESPONSE_SHARE_AT_DELAY = 0.3
 """Part of the impulse response that counts as its beginning: half a sample's delay leaves a half in either sample."""
+AT_ONCE = (
+    "; a current that follows the voltage at once, such as a leak of Ts / L beside the winding, would do the same: "
+    "rule it out first, if the rows are known to be right"
+)
+"""The other hypothesis on a voltage that acts before its time."""
 MAX_LAG_ROUNDING_SAMPLES = 0.3
 """Distance of a sine's lag from a whole number of samples, beyond which iron loss or a filter shifts its phase."""
 
@@ -161,8 +167,23 @@ def _lag_of_edges(responses: Responses) -> tuple[int, str] | None:
     first = int(nonzero[0])
     if np.any(np.abs(weights[:first]) > MAX_RESPONSE_SHARE_BEFORE_DELAY) or response.lags[first] == 0.0:
         return None
+    declared = responses.survey.manifest.drive.voltage_delay_samples or 0.0
+    if response.lags[first] < 0.0 and not _is_shifted(weights, first, declared - math.floor(declared)):
+        return None
     share = f"{100 * weights[first]:.0f} % of the current's response to injected edges"
-    return int(response.lags[first]), f"{share} comes there, none before"
+    evidence = f"{share} comes there, none before"
+    return int(response.lags[first]), evidence + (AT_ONCE if response.lags[first] < 0.0 else "")
+
+
+def _is_shifted(weights: Array, first: int, fraction: float) -> bool:
+    """Whether a response that begins early is the declared one, moved by whole samples.
+
+    A current beside the winding's that follows the voltage at once gives the response [g, 1 - g] from one sample early
+    on, g its conductance times L / Ts: an effect for the diagnosis, unless g happens to be 1.
+    """
+    expected = np.zeros_like(weights)
+    expected[first : first + 2] = (1.0 - fraction, fraction)[: len(weights) - first]
+    return bool(np.all(np.abs(weights - expected) <= MAX_RESPONSE_SHARE_BEFORE_DELAY))
 
 
 def _lag_of_phase(responses: Responses) -> tuple[int, str] | None:

@@ -8,6 +8,8 @@ import pytest
 
 from orchestrator.recording import open_recording
 from orchestrator.recording_checks import CorrectedRecording, find_convention
+from orchestrator.recording_checks.responses import Responses
+from orchestrator.recording_checks.survey import survey
 from tests.blind.campaign import Campaign, record
 from tests.blind.hidden import draw_case
 from tests.blind.stepping import record_steps, usual
@@ -85,3 +87,24 @@ def test_the_edges_of_voltage_steps_tell_their_lag(stepped: Rewritten, rows: int
 
 def test_voltage_steps_that_are_right_break_no_convention(stepped: Rewritten) -> None:
     assert find_convention(stepped) is None
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.7, 1.5, 3.0, 10.0])
+def test_a_strong_leak_is_left_to_the_diagnosis_and_taken_for_no_early_voltage(right: Rewritten, ratio: float) -> None:
+    siemens = ratio * leak_of_one_sample(right)
+    leaking = right.captured(lambda c: {"i_ab": c.i_ab + siemens * c.v_ab, "i_abc": None})
+    found = find_convention(leaking)
+    assert found is None or found.kind != "delay"
+
+
+def test_a_voltage_before_its_time_has_both_hypotheses(right: Rewritten) -> None:
+    found = find_convention(right.late(1))
+    assert found is not None
+    assert "a current that follows the voltage at once" in found.evidence
+
+
+def leak_of_one_sample(right: Rewritten) -> float:
+    """Ts / L of the mean axis [S]."""
+    response = Responses(survey(right, lambda: None)).impulse_response
+    assert response is not None
+    return float(response.weights.sum())
