@@ -106,6 +106,10 @@ def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Functio
     assert_near(np.array([drive.vector("inductance_h", 3, *i)[1] for i in at]), lookup(held))
 
 
+def flux_less(i_dq: Array, psi_wb: Array) -> Array:
+    return PLANT.psi(i_dq) - psi_wb
+
+
 def tracked_angle(theta_rad: float, i_dq: Array) -> float:
     """Where a tracking settles that injects a flux along its d axis and turns until no ripple is across it [rad].
 
@@ -114,7 +118,7 @@ def tracked_angle(theta_rad: float, i_dq: Array) -> float:
     at_rest, tracked = PLANT.psi(i_dq), theta_rad
     for _ in range(60):
         ripple_wb = 1e-4 * rotation(tracked - theta_rad)[:, 0]
-        currents = [fsolve(lambda i, to: PLANT.psi(i) - to, i_dq, args=(at_rest + s * ripple_wb,)) for s in (1.0, -1.0)]
+        currents = [fsolve(flux_less, i_dq, args=(at_rest + s * ripple_wb,)) for s in (1.0, -1.0)]
         seen = rotation(tracked - theta_rad).T @ (currents[0] - currents[1])
         tracked += 0.5 * math.atan2(seen[1], seen[0])
     return tracked
