@@ -159,7 +159,7 @@ def root_two_question(motor: Motor) -> Iterator[str]:
 
     Only where no likelier slip is named. A torque sqrt 2 times the rated one is not unusual by itself, but a nameplate
     whose numbers agree after the division is rarely a coincidence. The torque alone does not tell current and flux
-    apart: both are asked about, first the one with which voltage and power agree better.
+    apart: both are questioned, first the one with which voltage and power agree better.
     """
     values = completed(stated_values(motor))
     if not all(name in values for name in (_PAIRS, _PSI, _I, _T)) or likely_slips(stated_values(motor)):
@@ -173,9 +173,9 @@ def root_two_question(motor: Motor) -> Iterator[str]:
         return
     fitting.sort(key=lambda slip: mismatch(slip.applied(values)) - 2.0 * math.log(slip.probability))
     torque_nm = largest_torque_nm(values)
-    asked = ", or ".join(slip.question(values) for slip in fitting)
+    questions = ", or ".join(slip.question(values) for slip in fitting)
     made = f"{values[_PAIRS]:g} pole pairs, {values[_PSI]:.4g} Wb and {values[_I]:.4g} A rms make {torque_nm:.3g} Nm"
-    yield f"{asked}? As it is written, {made}, {torque_nm / values[_T]:.3g} times rated_torque_nm"
+    yield f"{questions}? As it is written, {made}, {torque_nm / values[_T]:.3g} times rated_torque_nm"
 
 
 def likely_slips(values: Values) -> list[Slip]:
