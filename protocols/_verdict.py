@@ -37,13 +37,11 @@ class VerdictLimits(Lenient):
     mostly_explained_fraction: float
     """Largest part of the first error that ``mostly_explained`` leaves."""
     explained_excess_chi2: float
-    """Largest excess chi2 for ``explained``."""
+    """Largest excess chi2 for ``explained``, and for ``clean`` where the remaining error is immaterial."""
     mostly_explained_excess_chi2: float
     """Largest excess chi2 for ``mostly_explained``."""
     immaterial_excess_chi2: float
     """Largest excess chi2 for ``mostly_explained`` where the remaining error is immaterial."""
-    noise_accuracy_excess_chi2: float
-    """Excess chi2 within which the noise itself is known."""
     clean_excess_chi2: float
     """Largest excess chi2 for ``clean`` where the remaining error is negligible."""
     material_voltage: float

@@ -92,8 +92,8 @@ class VerdictCriteria(Strict):
     mostly_explained_fraction: float = _is(0.30, "1", "practice")
     """Largest ratio of the final error to the first (of amplitudes) for ``mostly_explained``."""
     explained_excess_chi2: float = _is(0.4, "1", "simulated")
-    """Largest chi2 - 1, fitted or held out, for ``explained``. The right effects at three times their usual size and in
-    slightly different forms leave at most 0.3."""
+    """Largest chi2 - 1, fitted or held out, for ``explained``, and for ``clean`` where the residual is immaterial. The
+    right effects at three times their usual size and in slightly different forms leave at most 0.3."""
     mostly_explained_excess_chi2: float = _is(1.5, "1", "practice")
     """Largest chi2 - 1 for ``mostly_explained``."""
     immaterial_excess_chi2: float = _is(4.0, "1", "practice")
@@ -104,8 +104,8 @@ class VerdictCriteria(Strict):
     Where the form was another it took up 0.38 to 0.69, where an effect was missing 0.04 to 0.28. Two missing effects
     that act much like a dead time left it 0.76 and 0.86, but chi2 above 25."""
     noise_accuracy_excess_chi2: float = _is(0.15, "1", "practice")
-    """chi2 - 1 attributed to the noise estimate's error where the residual is immaterial: quantum, colour and ripple of
-    a reading are known to a few percent each."""
+    """chi2 - 1 attributed to the noise estimate's error: quantum, colour and ripple of a reading are known to a few
+    percent each."""
     clean_excess_chi2: float = _is(1.0, "1", "simulated")
     """Largest chi2 - 1 for ``clean`` where the residual is negligible."""
     negligible_voltage: float = _is(5e-4, "1", "practice")

@@ -152,9 +152,7 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
         map_error=band_wb / rated_wb,
         hidden_map_error=uncertainty.hidden_wb(currents) / rated_wb,
     )
-    # What `explained` bears beside effects is borne without any: a rest that is small and immaterial moves no map.
-    bearable = {"noise_accuracy_excess_chi2": record.limits.explained_excess_chi2}
-    judgement = judge(record, record.limits.model_copy(update=bearable))
+    judgement = judge(record)
     moved = {name: share.relative_to_flux for name, share in contributions(setup, first, last).items()}
     objections = objections_to(last, judgement.verdict, 100.0 * band_wb / rated_wb, moved)
     objections += _more_than_noise(last)

@@ -76,7 +76,7 @@ def _by_residual(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
 def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float) -> Outcome:
     """The verdict without effects: the residual is immaterial or unknown."""
     largest_excess, voltage = _largest_chi2(record) - 1.0, _or_infinite(record.left_of_excitation)
-    known = max(limits.noise_accuracy_excess_chi2, chance)
+    known = max(limits.explained_excess_chi2, chance)
     bounds = ((known, limits.material_voltage), (limits.clean_excess_chi2, limits.negligible_voltage))
     passed = [bound for bound in bounds if largest_excess <= bound[0] and voltage <= bound[1]]
     max_excess, max_part = passed[0] if passed else bounds[0 if largest_excess <= known else 1]

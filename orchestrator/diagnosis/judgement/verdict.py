@@ -25,7 +25,8 @@ from protocols import Verdict, VerdictLimits, VerdictRecord
 def verdict_limits(criteria: Criteria) -> VerdictLimits:
     """The verdict's limits from the criteria of a diagnosis."""
     return VerdictLimits(
-        **criteria.verdict.model_dump(exclude={"widest_band_percent"}), **criteria.materiality.model_dump()
+        **criteria.verdict.model_dump(exclude={"widest_band_percent", "noise_accuracy_excess_chi2"}),
+        **criteria.materiality.model_dump(),
     )
 
 
