@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -316,44 +317,30 @@ def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def with_local_roughness(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """Refit a fine map as rough as it is from place to place, and on finer grids while they gain evidence and chi2."""
+    """Refit a fine map as rough as it is from place to place, where that gains evidence."""
     if not has_fine_grid(fit):
         return fit
     roughness = estimated_roughness(fit)
     local = _fit_on_map(fitter, _on_grid(setup, fit, fit.model.space.grid, roughness), fit)
-    if map_log_evidence(local) <= map_log_evidence(fit):
-        return fit
-    while grids := _finer_grids(setup, local):
-        trials = [_fit_on_map(fitter, _on_grid(setup, local, grid, roughness), local) for grid in grids]
-        best = max(trials, key=map_log_evidence)
-        if map_log_evidence(best) <= map_log_evidence(local) or not _removes_much(best, local):
-            break
-        local = best
-    return local
+    return max(local, fit, key=map_log_evidence)
 
 
 def with_sharpest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """Refit a fine map on finer grids while evidence is gained, each as rough as it is from place to place.
+    """Refit a fine map on the likeliest of the finest grids, as rough as it is from place to place.
 
     Between points a bridge's corner hardly raises chi2, by which a search chooses its maps, but the flux beyond it is
     wrong by what it leaves there. Effects keep their values.
     """
     if not (has_fine_grid(fit) and fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP):
         return fit
-    best = fitter.fit(fit.model.with_active([replace(a, free=()) for a in fit.model.active]), fit.linearisation)
-    while grids := _finer_grids(setup, best):
-        trials = []
-        for grid in grids:
-            trial = _fit_on_map(fitter, _on_grid(setup, best, grid, best.model.space.roughness), best)
-            rough = _on_grid(setup, trial, grid, estimated_roughness(trial))
-            trials.append(_fit_on_map(fitter, rough, trial))
-        finest = max(trials, key=map_log_evidence)
-        if map_log_evidence(finest) <= map_log_evidence(best):
-            break
-        best = finest
-    if best.model.space is fit.model.space:
-        return fit
-    return fitter.relinearise(best.model.with_active(fit.model.active), best.linearisation)
+    space, active = fit.model.space, fit.model.active
+    best = fitter.fit(fit.model.with_active([replace(a, free=()) for a in active]), fit.linearisation)
+    trials = [best]
+    for grid in _finest_grids(setup, fit):
+        finer = _fit_on_map(fitter, _on_grid(setup, best, grid, space.roughness), best)
+        trials.append(_fit_on_map(fitter, _on_grid(setup, finer, grid, estimated_roughness(finer)), finer))
+    finest = max(trials, key=map_log_evidence)
+    return fit if finest is best else fitter.relinearise(finest.model.with_active(active), finest.linearisation)
 
 
 def with_kink_switched(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -389,6 +376,14 @@ def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> list[EvenSpline]:
     d, q = (next((n for n in limits.sharper_intervals if n > present), present) for present in grid.cells)
     finer = [replace(grid, cells=cells) for cells in ((d, grid.cells[1]), (grid.cells[0], q)) if cells != grid.cells]
     return [trial for trial in finer if trial.size <= limits.most_map_numbers]
+
+
+def _finest_grids(setup: DiagnosisSetup, fit: Fit) -> list[EvenSpline]:
+    """For each resolution along i_d the grid with the finest one along i_q that `most_map_numbers` allows."""
+    limits, grid = setup.criteria, fit.model.space.grid
+    every = [replace(grid, cells=(d, q)) for d in limits.sharper_intervals for q in limits.sharper_intervals]
+    allowed = [one for one in every if one.size <= limits.most_map_numbers]
+    return [max(of_d, key=lambda one: one.cells[1]) for _, of_d in groupby(allowed, key=lambda one: one.cells[0])]
 
 
 def _excess_chi2(fit: Fit) -> float:
