@@ -329,9 +329,10 @@ def with_sharpest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """Refit a fine map on the likeliest of the finest grids, as rough as it is from place to place.
 
     Between points a bridge's corner hardly raises chi2, by which a search chooses its maps, but the flux beyond it is
-    wrong by what it leaves there. Effects keep their values.
+    wrong by what it leaves there. Effects keep their values. Where they leave more than ``explained`` allows, finer
+    maps would adapt to that.
     """
-    if not (has_fine_grid(fit) and fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP):
+    if not has_fine_grid(fit) or fit.chi2_per_dof - 1.0 > fit.criteria.verdict.explained_excess_chi2:
         return fit
     space, active = fit.model.space, fit.model.active
     best = fitter.fit(fit.model.with_active([replace(a, free=()) for a in active]), fit.linearisation)

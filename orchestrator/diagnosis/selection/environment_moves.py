@@ -74,9 +74,12 @@ def map_moves(state: SearchState) -> Iterator[Move]:
 
 
 def first_map_moves(state: SearchState, best: Move | None) -> Iterator[Move]:
-    """Refine the map, or make the best other move: whichever lowers the objective by more."""
+    """Refine the map, or make the best other move: whichever lowers the objective by more; once for each set of effects.
+
+    Each trial takes some ten fits, which a search of many samples cannot afford after each freed shape.
+    """
     if state.fit.model.space.is_free:
-        yield Move("finer_map", ("first",), partial(_refine_map_or, state, best))
+        yield Move("finer_map", ("first", *state.fit.model.names), partial(_refine_map_or, state, best), is_once=True)
 
 
 def _refine_map_or(state: SearchState, best: Move | None) -> SearchState | None:

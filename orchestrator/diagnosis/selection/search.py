@@ -226,7 +226,7 @@ def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResul
         # The last move may have left the map's equations linearised elsewhere.
         state = replace(state, fit=state.minimum(fit.model, rounds=MAX_SHAPE_ROUNDS))
         return drop_confounded(state.fitter, build_ladder(state, steps))
-    fit = state.fitter.fit(fit.model, fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
+    fit = state.fitter.fit(fit.model, fit.linearisation, steps=8, relinearisations=8, tolerance=3e-4)
     return plain_ladder(replace(state, fit=fit), steps)
 
 
