@@ -76,7 +76,8 @@ def map_moves(state: SearchState) -> Iterator[Move]:
 def first_map_moves(state: SearchState, best: Move | None) -> Iterator[Move]:
     """Refine the map, or make the best other move: whichever lowers the objective by more.
 
-    It is tried once for each set of effects. Each trial takes some ten fits, which a search of many samples cannot afford after each freed shape.
+    It is tried once for each set of effects: a trial takes some ten fits, which a search of many samples cannot afford
+    after each freed shape.
     """
     if state.fit.model.space.is_free:
         yield Move("finer_map", ("first", *state.fit.model.names), partial(_refine_map_or, state, best), is_once=True)
