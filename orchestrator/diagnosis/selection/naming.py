@@ -20,7 +20,7 @@ from orchestrator.diagnosis.judgement.intervals import (
 )
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
 from orchestrator.diagnosis.selection.adding import sub_threshold_effects
-from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, log_bayes_factors, score
+from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, log_bayes_factors, loss_without, score
 from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState, baseline_models
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
@@ -28,6 +28,8 @@ from protocols import EffectParameter, FoundEffect, JointEntry, ParameterValue, 
 
 MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
 """Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
+LINEAR_MARGIN: float = 2.0
+"""Factor of chi2 by which the linear estimate of chi2 without an effect may exceed the refitted one."""
 IMITABLE: str = "what is left could imitate it"
 MAX_SHARE_OF_ERROR: float = 10.0
 """Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
@@ -50,7 +52,8 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     below = tuple(n for n in names if n in sizes and sizes[n].share <= limit)
     for name in below:
         _record_name(state, name, sizes[name], limit, taken=False, note=IMITABLE)
-    causes = [n for n in names if n not in below]
+    causes = needed_to_explain(state, [n for n in names if n not in below])
+    below = tuple(n for n in names if n not in causes)
     return SearchResult(_rungs(state, steps, causes, gains), *_beside(state), view=state.view, below_materiality=below)
 
 
@@ -96,11 +99,43 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     causes = [n for n in clear if sizes[n].share > min_share or is_material(sizes[n], whole)]
     for name in order:
         _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
+    causes = needed_to_explain(state, causes)
     below = tuple(n for n in order if n not in causes)
     rungs = _rungs(state, steps, causes, factors)
     return SearchResult(
         rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes, needed=needed
     )
+
+
+def needed_to_explain(state: SearchState, causes: Sequence[str]) -> list[str]:
+    """The causes less as many as a model can lose, the weakest first, and still explain the recording.
+
+    Beside a large effect a small one may be that one's other form, however much evidence there is for it. It stays in
+    the model.
+    """
+    fit, kept = state.fit, list(causes)
+    limit = 1.0 + fit.criteria.verdict.explained_excess_chi2
+    rise = {a.name: loss_without(fit, a, a.candidate.amplitudes) / fit.dof for a in fit.model.active}
+    for name in sorted(causes, key=lambda name: rise[name]):
+        if len(kept) == 1 or fit.chi2_per_dof + rise[name] > LINEAR_MARGIN * limit:
+            break
+        staying = [a for a in fit.model.active if a.name != name and (a.name in kept or a.name not in causes)]
+        without = state.minimum(fit.model.with_active(staying))
+        is_needed = without.chi2_per_dof > limit
+        state.fitter.trace.record(
+            "name",
+            [name],
+            before=fit,
+            after=without,
+            measure="chi2_per_dof",
+            score=without.chi2_per_dof,
+            threshold=limit,
+            taken=is_needed,
+            note="" if is_needed else "the others explain the recording without it",
+        )
+        if not is_needed:
+            kept.remove(name)
+    return kept
 
 
 def _rungs(

@@ -72,6 +72,19 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
     assert search.below_materiality == ("phase_resistance_imbalance",)
 
 
+@pytest.mark.parametrize(("bias_v", "is_cause"), [(0.0005, False), (0.003, True)])
+def test_an_effect_without_which_the_others_explain_the_recording_is_no_cause(bias_v: float, is_cause: bool) -> None:
+    setup, bare, whole = _fitted(bias_v, [VoltageBias(), CurrentGainMismatch()])
+    joint = _ladder(setup, bare, whole)
+    one_by_one = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, gains=log_bayes_factors(whole))
+    for search in (joint, plain_ladder(one_by_one, [AcceptedModel(None, bare)])):
+        assert ("voltage_bias" in {step.added for step in search.steps}) is is_cause
+        assert ("voltage_bias" in search.below_materiality) is not is_cause
+        # It stays in the model, and one cause remains whatever it explains.
+        assert search.fit.model.names == whole.model.names
+        assert "current_gain_mismatch" in {step.added for step in search.steps}
+
+
 def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
     """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
     setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
