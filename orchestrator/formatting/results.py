@@ -78,7 +78,7 @@ MIN_CHI2_RATIO_TO_NOTE: float = 1.1
 """Ratio of two values of chi2 of the same effects from which a refit says why they differ."""
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
-    "undetermined": "remove",
+    "certain": None, "undetermined": "remove",
     "needed": "add", "not_needed": None,
 }  # fmt: skip
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""

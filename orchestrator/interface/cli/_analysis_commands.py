@@ -148,10 +148,13 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/mystery-4 hysteresis")
+@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/first NAME")
 def add_command(
     recording: RecordingArgument,
-    effect: Annotated[list[str], typer.Argument(help="Names, separated by spaces or commas.", metavar="EFFECT...")],
+    effect: Annotated[
+        list[str],
+        typer.Argument(help="Names, separated by spaces or commas.", metavar="NAME..."),
+    ],
     model: ModelOption = None,
     effects: EffectsOption = None,
     out: OutOption = None,
@@ -159,7 +162,8 @@ def add_command(
 ) -> int:
     """Add effects to the model.
 
-    The model is fitted again; the ladder gets a step for each effect.
+    Takes names of `fluxbench effects`. The model is fitted again, which rewrites model.json and the report, and a
+    sentence says whether the held-out error falls. `fluxbench remove RECORDING NAME` takes an effect out again.
     """
     announce(recording, as_json)
     from orchestrator.interface.cli._diagnosis import add
@@ -167,15 +171,19 @@ def add_command(
     return add(recording, effect, model, effects, out, as_json)
 
 
-@commands.command("remove", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench remove runs/first hysteresis")
+@commands.command("remove", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench remove runs/first NAME")
 def remove_command(
     recording: RecordingArgument,
-    effect: Annotated[str, typer.Argument(help="Name of the effect.", metavar="EFFECT")],
+    effect: Annotated[str, typer.Argument(help="Name of an effect of the model.", metavar="NAME")],
     effects: EffectsOption = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Remove an effect from the model."""
+    """Remove an effect from the model.
+
+    The model is fitted again without it, which rewrites model.json and the report. `fluxbench add RECORDING NAME` puts
+    it back.
+    """
     announce(recording, as_json)
     from orchestrator.interface.cli._diagnosis import remove
 

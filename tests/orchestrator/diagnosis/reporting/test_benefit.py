@@ -72,16 +72,46 @@ def test_a_benefit_beside_most_of_the_error_says_little(
     assert [("says little" in one.text) for one in (added, removed)] == [warns, warns]
 
 
-def test_an_effect_with_which_the_error_rises_does_not_help_whatever_the_likelihood(
-    biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("after_v", "course"),
+    [
+        (0.356, "rises from 339 mV to 356 mV"),
+        (0.3399, "rises from 339 mV to 340 mV"),
+        (0.339, "stays at 339 mV"),
+        (0.337, "only falls from 339 mV to 337 mV"),
+    ],
+)
+def test_far_from_the_noise_an_effect_helps_only_where_the_error_falls_whatever_the_likelihood(
+    after_v: float, course: str, biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, after = biased
     assert helps(before, after)
-    errors = {id(before): 0.339, id(after): 0.356}
+    errors = {id(before): 0.339, id(after): after_v}
     monkeypatch.setattr(benefit, "mean_rms_v", lambda fit, _: errors[id(fit)])
+    monkeypatch.setattr(benefit, "noise_rms_v", lambda *_: 0.0035)
     assert not helps(before, after)
     reported = added_remark("voltage_bias", before, after, None)
-    assert reported.text.startswith("voltage bias does not help: the held-out error rises from 339 mV to 356 mV")
+    assert reported.code == "does_not_help"
+    assert reported.text == (
+        f"voltage bias does not help by itself: the held-out error {course}; noise alone leaves 3.5 mV, so that "
+        "something else is missing"
+    )
+
+
+@pytest.mark.parametrize(("after_v", "course"), [(0.00401, "rises from 4 mV to 4.01 mV"), (0.004, "stays at 4 mV")])
+def test_close_to_the_noise_an_effect_without_which_the_rms_stays_is_certain_by_its_evidence_and_no_more(
+    after_v: float, course: str, biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = biased
+    errors = {id(before): 0.004, id(after): after_v}
+    monkeypatch.setattr(benefit, "mean_rms_v", lambda fit, _: errors[id(fit)])
+    monkeypatch.setattr(benefit, "noise_rms_v", lambda *_: 0.0035)
+    added, removed = added_remark("voltage_bias", before, after, None), removed_remark("voltage_bias", after, before)
+    assert (added.code, removed.code) == ("certain", "needed")
+    assert added.text.startswith("voltage bias is certain by its evidence (+")
+    assert added.text.endswith(f"are enough), though the held-out error {course}; noise alone leaves 3.5 mV")
+    assert "help" not in added.text
+    assert removed.text.startswith("voltage bias is needed by its evidence (+")
 
 
 def test_what_does_not_help_is_not_needed_either(biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch) -> None:
