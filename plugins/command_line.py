@@ -1,4 +1,4 @@
-"""Shared by the plugins' commands: entry points, and the option `--json`."""
+"""Shared by the plugins' commands: entry points, and the options `--json` and `--quiet`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 from orchestrator.interface.cli.help_text import with_plain_help
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 
 def entry_point(function: Callable[..., Any], epilog: str | None = None) -> Callable[[Sequence[str]], int]:

@@ -9,7 +9,7 @@ import typer.core
 
 from orchestrator.interface.cli import _analysis_commands, _bench_commands, _file_commands
 from orchestrator.interface.cli._foreign import is_foreign
-from orchestrator.interface.cli.help_text import with_plain_help, write_commands
+from orchestrator.interface.cli.help_text import HELP_NAMES, with_plain_help, write_commands
 
 ENERGISING = ("run", "resume")
 
@@ -46,6 +46,7 @@ app = typer.Typer(
     add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings=dict(HELP_NAMES),
 )
 
 START = """fluxbench commissions a permanent-magnet synchronous motor. To begin with:

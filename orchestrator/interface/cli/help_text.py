@@ -13,6 +13,8 @@ RECORDINGS, LOOK_UP, TRY = "Recordings and runs", "Look up and extend", "Try and
 OTHERS = "Others"
 GROUPS = (MEASURE, DIAGNOSE, USE, RECORDINGS, LOOK_UP, TRY, OTHERS)
 """Titles of the list of commands, in order; a command without one of them is among the others."""
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+"""Settings of a command's context: the names of the option that prints its help."""
 _TYPE = re.compile(r" <([^>]*)>$")
 _VALUES = {"path": "PATH", "int": "N", "int range": "N", "float": "NUMBER", "float range": "NUMBER"}
 """What an option's value is called, by typer's word for its type."""
@@ -63,9 +65,11 @@ def _plain(piece: str) -> str:
 
 
 def with_plain_help(app: typer.Typer) -> typer.Typer:
-    """The application, its commands with this help."""
+    """The application, its commands with this help, by `-h` and `--help`."""
+    app.info.context_settings = {**(app.info.context_settings or {}), **HELP_NAMES}
     for command in app.registered_commands:
         command.cls = PlainCommand
+        command.context_settings = {**(command.context_settings or {}), **HELP_NAMES}
     for group in app.registered_groups:
         if group.typer_instance is not None:
             with_plain_help(group.typer_instance)

@@ -13,7 +13,7 @@ import typer
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import in_degrees, plural, quantity
 from orchestrator.formatting.sentences import shown, visible
-from plugins.command_line import AsJson, entry_point
+from plugins.command_line import AsJson, Quiet, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def mystery(
     out: Annotated[
         Path | None, typer.Option(help="The run directory; by default runs/mystery-N.", metavar="FOLDER")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the next command alone.")] = False,
+    quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
@@ -144,9 +144,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
             raise error
     if as_json:
         _print_json(path)
-    elif quiet:
-        _print_line(f"{path} is measured; next: fluxbench report {path}")
-    else:
+    elif not quiet:
         _print_line(f"{path} is a motor with something hidden in it, or nothing. How far the model without it is off:")
         _print_line(f"  fluxbench compare {path}")
         _print_line(f"The same in pictures, which name nothing, in {path / 'report.html'}:")
