@@ -49,6 +49,8 @@ class CompareReport(Remarked):
     noise_floor: NoiseFloor
     rms_v: Number = None
     """Over all stages, as `noise_floor` and `chi2` are."""
+    heldout_rms_v: Number = None
+    """Over the stages alone that are not fitted; None where there are none."""
     chi2: Number
     stages: tuple[StageError, ...]
     worst: tuple[WorstSegment, ...]

@@ -19,7 +19,7 @@ from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
-from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.own_effects import contract_remarks
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
@@ -115,6 +115,7 @@ def compare_recording(
         model=title,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(fit)),
         rms_v=mean_rms_v(fit, lambda _: True),
+        heldout_rms_v=mean_rms_v(fit, held_out),
         chi2=fit.chi2_per_dof,
         stages=tuple(_stage_error(fit, *row) for row in _stage_rows(setup.prepared.pieces)),
         worst=_worst(fit, pieces),

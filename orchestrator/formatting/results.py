@@ -276,7 +276,17 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
 def part_words(effect: FoundEffect | EffectBasis) -> str:
     """The error without an effect, and the kind of stage that it is largest in: ``162 % (sweeps)``."""
     text = percent(None if effect.share is None else 100.0 * effect.share)
-    return text if effect.share_in is None else f"{text} ({_KINDS.get(effect.share_in) or plain(effect.share_in)})"
+    return text if effect.share_in is None else f"{text} ({kind_words(effect.share_in)})"
+
+
+def kind_words(kind: str) -> str:
+    """A kind of rows of a recording in words: ``holds``."""
+    return _KINDS.get(kind) or plain(kind)
+
+
+def objection_words(report: EstimationReport, remark: Remark) -> str:
+    """A remark on the use of a report's map, without the name of the method, which the map has already."""
+    return typographic(remark.text.removeprefix(f"{report.method}: "))
 
 
 def probability_words(effect: FoundEffect | EffectBasis, named: Iterable[str]) -> str:

@@ -317,7 +317,7 @@ def _remarks(
     if rise is not None and abs(change) > max(0.02, 1.5 * (rise.high - rise.value) * COPPER_PER_K):
         text = (
             "R_s changes by {change_percent:+.1f} % over the recording, hence the winding temperature by {rise_k:+.0f} "
-            "(+-{half_k:.0f}) K for copper, taking 20 C for the start"
+            "(+-{half_k:.0f}) K for copper, assuming 20 °C at the start"
         )
         figures = {"change_percent": 100 * change, "rise_k": rise.value, "half_k": max(rise.high - rise.value, 1.0)}
         remarks.append(Remark.of("drift", text, **figures))

@@ -86,7 +86,12 @@ def excitation_v(fit: Fit) -> float:
 
 
 def left_of_excitation(fit: Fit) -> float:
-    """Residual beyond noise over the rms voltage: the largest of holds, sweeps, means under injection, ripple.
+    """Residual beyond noise over the rms voltage: the largest of `left_by_kind`."""
+    return max(left_by_kind(fit).values(), default=0.0)
+
+
+def left_by_kind(fit: Fit) -> dict[str, float]:
+    """Residual beyond noise over the rms voltage, of holds, sweeps, means under injection, and ripple.
 
     In held-out stages the uncertainty of R_s and the map counts as noise: between points the map is interpolated.
     """
@@ -95,7 +100,7 @@ def left_of_excitation(fit: Fit) -> float:
     residual = _by_kind(fit, [v / sigma for v, sigma in zip(fit.volts, sigmas, strict=True)])
     chi = _by_kind(fit, [e / sigma for e, sigma in zip(fit.residual, sigmas, strict=True)])
     beyond = {k: rms * math.sqrt(max(1.0 - 1.0 / chi[k] ** 2, 0.0)) for k, rms in residual.items() if chi[k] > 0.0}
-    return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
+    return {kind: rms / volts[kind] for kind, rms in beyond.items() if volts[kind] > 0.0}
 
 
 def held_out_covariance(fit: Fit) -> dict[int, Array]:

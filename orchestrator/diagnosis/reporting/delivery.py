@@ -9,13 +9,14 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.corrections import has_random_directions
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.judgement.contributions import left_of_excitation
+from orchestrator.diagnosis.judgement.contributions import left_by_kind
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.verdict import held_out_chi2, most_strained
 from orchestrator.diagnosis.reporting.findings import size_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from orchestrator.formatting.names import plain
+from orchestrator.formatting.results import kind_words
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
 _WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
@@ -120,10 +121,13 @@ def objections_to(
     if verdict == "cannot_tell":
         text = "the recording does not tell whether the model is right: `explain` has the reasons"
         against.append(Remark.of("cannot_tell", text))
-    residual = left_of_excitation(fit)
-    if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
-        text = "{left_percent:.2g} % of the voltage of one kind of stage is left unexplained: `compare` shows which"
-        against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
+    left = left_by_kind(fit)
+    worst = max(left, key=lambda kind: left[kind], default=None)
+    max_left = limits.materiality.material_voltage
+    if verdict not in EXPLAINED and worst is not None and left[worst] > max_left:
+        text = "{left_percent:.2g} % of the voltage of the {kind} is left unexplained; {max_percent:.2g} % is allowed"
+        values = {"left_percent": 100.0 * left[worst], "max_percent": 100.0 * max_left}
+        against.append(Remark.of("unexplained", text, kind=kind_words(worst), **values))
     between = held_out_chi2(fit)
     if verdict not in EXPLAINED and between is not None and between - 1.0 > limits.verdict.immaterial_excess_chi2:
         text = "the stages that were not fitted have chi2 {chi2:.2g}: between the fitted points the map is wrong"

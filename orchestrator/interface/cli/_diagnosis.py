@@ -24,6 +24,7 @@ from orchestrator.formatting.results import (
     by_import,
     has_other_chi2,
     ladder_rows,
+    objection_words,
     parameter_rows,
     resistance,
     share_notes,
@@ -147,6 +148,8 @@ def _print_comparison(path: Path, report: CompareReport) -> None:
     say_table(("stage", "PWM", "rms error", "noise floor", "chi2", "noise up to", "current error"), rows)
     floor = volts(report.noise_floor.rms_v)
     say(f"over all stages: error {volts(report.rms_v)}, noise floor {floor}, chi2 {number(report.chi2)}")
+    if report.heldout_rms_v is not None:
+        say(f"of these, the stages that are not fitted (held out) have the error {volts(report.heldout_rms_v)}")
     say(CHI2_MEANING, CHI2_OF_NOISE_MEANING, NOISE_FLOOR_MEANING, "")
     worst = [
         (w.segment, pwm(w.pwm_frequency_hz), amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v))
@@ -192,7 +195,7 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
         say(*(f"accuracy: {words}" for words in filter(None, [accuracy_words(estimates)])))
         say_notes(r.text for r in estimates.remarks if r.code in ("far_from_nameplate", "common_factor"))
         return
-    why = next((r.text for r in estimates.remarks), "no estimator succeeded")
+    why = next((objection_words(estimates, r) for r in estimates.remarks), "no estimator succeeded")
     say(f"flux map: {in_capitals(estimates.usability)}: {why}")
 
 

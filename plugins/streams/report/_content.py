@@ -13,7 +13,7 @@ import numpy as np
 from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, map_source, symbol_of
 from orchestrator.formatting.quantities import duration, fixed, number, percent, plural, quantity, with_error
-from orchestrator.formatting.results import coefficient_rows
+from orchestrator.formatting.results import coefficient_rows, objection_words
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.numerics.tables import cubic_value_at
 from plugins.streams.report._collect import Material
@@ -367,7 +367,7 @@ def _map_lines(material: Material) -> Iterator[Line]:
     yield Line("Flux map", f"{use}: {map_source(report.method)}{size}", kind)
     if not report.usable:
         for place, remark in enumerate(report.remarks[:3]):
-            yield Line("" if place else "because", typographic(remark.text))
+            yield Line("" if place else "because", objection_words(report, remark))
 
 
 def inductance_line(material: Material) -> Iterator[Line]:

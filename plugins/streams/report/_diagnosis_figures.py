@@ -313,9 +313,9 @@ def _loop(loop: FluxLoop, which: int, top_mwb: float) -> str:
 
 def evenness_figures(before: FluxLoop | None, after: FluxLoop) -> Panels:
     """The d axis's flux over i_q of a sweep of q: a symmetric machine's is the same on both sides."""
-    loops = [after] if before is None else [before, after]
-    top = 1.1 * max(np.abs(_about_mean(psi, 0)).max() for one in loops for psi in (one.psi_measured, one.psi_model))
-    return Panels(*(_evenness(one, top) for one in loops))
+    loops = [after if before is None else before, after]
+    tops = [1.1 * max(np.abs(_about_mean(psi, 0)).max() for psi in (one.psi_measured, one.psi_model)) for one in loops]
+    return _panels(loops, [max(tops), tops[1]], _evenness, before is None)
 
 
 def unevenness(psi: RealArray, i_q: RealArray) -> float:

@@ -177,7 +177,13 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
     for k, loop in enumerate(after.loops):
         if loop.swept_axis == "q":
             panels = figures.evenness_figures(None if is_one else before.loops[k], loop)
-            yield Picture("Evenness in i_q", _evenness(before.loops[k], loop, is_one), panels.before, panels.after)
+            yield Picture(
+                "Evenness in i_q",
+                _evenness(before.loops[k], loop, is_one),
+                panels.before,
+                panels.after,
+                panels.enlarged,
+            )
     alone, ripple = ([e for e in step.excerpts if e.amplitude_v is not None] for step in (before, after))
     if ripple:
         panels = figures.ripple_figures([] if is_one else alone, ripple)
@@ -211,16 +217,24 @@ def _open_loop(loop: FluxLoop) -> str:
 
 
 def _evenness(first: FluxLoop, loop: FluxLoop, is_one: bool) -> str:
-    """What an odd part of the flux across a sweep of q means, and how large it is."""
-    measured, *model = [
-        f"{number(figures.unevenness(psi, loop.i_dq[:, 1]), 2)} mWb"
-        for psi in (loop.psi_measured, first.psi_model, loop.psi_model)
-    ]
-    of_model = model[0] if is_one else f"{model[0]} before, {model[1]} after"
+    """What an odd part of the flux across a sweep of q means, and how large it is.
+
+    The measured flux is the corrected voltage's integral, so that it is another one before and after.
+    """
+    measured, of_model = (
+        " before, ".join(f"{number(figures.unevenness(psi, loop.i_dq[:, 1]), 2)} mWb" for psi in both)
+        + " after" * (not is_one)
+        for both in (
+            [one.psi_measured for one in ([loop] if is_one else [first, loop])],
+            [one.psi_model for one in ([loop] if is_one else [first, loop])],
+        )
+    )
+    corrected = "" if is_one else ", with the effects taken out of the voltage"
     return (
         f"{loop.segment}: the flux of the d axis while q is swept. A symmetric motor locked at the angle that the "
         "drive believes has the same on the left and on the right. A tilt is for example of the angle, of the slots or "
-        f"of sensors that are unequal or have an offset. The odd part, rms: measured {measured}, model {of_model}."
+        f"of sensors that are unequal or have an offset. The odd part, rms: "
+        f"measured {measured}{corrected}; model {of_model}."
     )
 
 
@@ -252,4 +266,4 @@ def _error(step: DiagnosisStep) -> str:
 
 def _of(step: DiagnosisStep) -> str:
     """Which samples the errors are of, as a page states those of the fitted ones, too."""
-    return "" if step.heldout_rms_v is None else ", both held out"
+    return "" if step.heldout_rms_v is None else ", both of the held-out stages alone"

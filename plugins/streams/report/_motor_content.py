@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from orchestrator.flux_maps import ROOM_C
 from orchestrator.flux_maps.exporting import mtpa, saliency
 from orchestrator.formatting.quantities import fixed, number, percent, quantity, vector
 from orchestrator.formatting.results import UNCHANGED, resistance, resistance_course
@@ -84,10 +85,13 @@ def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
         start_c, why = ambient_c, f"if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
     elif logged_c is not None:
         start_c, why = float(logged_c), f"by the first logged temperature, {logged_c:.1f} °C"
-    elif material.record is None:
-        return "not known: no temperature was logged; `temperature` in the import's mapping names its column"
     else:
-        return "not known: the room's temperature was not given; `fluxbench run --ambient 23` stores it"
+        start_c = ROOM_C
+        is_import = material.record is None
+        how = (
+            "`temperature` in the import's mapping names a logged one" if is_import else "`run --ambient 23` stores it"
+        )
+        why = f"assuming {ROOM_C:g} °C when the run began, as its temperature is not known; {how}"
     cold = estimate.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (start_c - 20.0))
     return f"{quantity(cold, 'ohm', 4)}, {why}"
 

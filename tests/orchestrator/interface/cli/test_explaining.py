@@ -200,7 +200,10 @@ def test_compare_has_the_noise_beside_each_error_and_over_all_stages(capsys: pyt
         stage.model_copy(update={"noise_rms_v": 0.0005, "pwm_frequency_hz": 1e4, "chi2_of_noise": 6.91})
         for stage in report.stages
     ]
-    _diagnosis._print_comparison(Path("mine"), report.model_copy(update={"rms_v": 1.9, "stages": tuple(stages)}))
+    _diagnosis._print_comparison(
+        Path("mine"), report.model_copy(update={"rms_v": 1.9, "heldout_rms_v": 1.8, "stages": tuple(stages)})
+    )
     lines = capsys.readouterr().out.splitlines()
     assert lines[4].split() == ["injection", "10", "kHz", "1.7", "V", "500", "µV", "40000", "6.91", "60", "mA"]
     assert "over all stages: error 1.9 V, noise floor 3.45 mV, chi2 54890" in lines
+    assert "of these, the stages that are not fitted (held out) have the error 1.8 V" in lines

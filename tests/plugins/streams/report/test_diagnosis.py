@@ -296,6 +296,9 @@ def test_waveforms_are_drawn_before_and_after_with_the_sizes_of_both_errors() ->
         assert re.search(rf"rms [\d.]+ {unit}\.", alone[title].caption)
 
 
+FLUXES = ("psi_measured", "psi_model")
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_flux_loop_says_how_far_noise_alone_opens_it() -> None:
     (step, *_), opens = some_steps(), "moves them apart by up to"
@@ -303,6 +306,22 @@ def test_a_flux_loop_says_how_far_noise_alone_opens_it() -> None:
     unknown, known = ({p.title: p.caption for p in step_pictures(s, s)}["Flux loop on d"] for s in (step, noisy))
     assert f"{opens} 0.2 mWb (95 %)" in known
     assert opens not in unknown
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_evenness_states_both_measured_fluxes_and_is_drawn_enlarged_where_what_is_left_is_small() -> None:
+    before, after = some_steps()
+    flat = [one.model_copy(update={n: 0.1 * getattr(one, n) for n in FLUXES}) for one in after.loops]
+    after = after.model_copy(update={"loops": tuple(flat)})
+    title = "Evenness in i_q"
+    drawn, alone = ({p.title: p for p in step_pictures(before, one)}[title] for one in (after, before))
+    number = r"[\d.·⁻⁰-⁹]+ mWb"
+    assert re.search(
+        f"measured {number} before, {number} after, .*; model {number} before, {number} after", drawn.caption
+    )
+    assert drawn.enlarged
+    assert re.search(f"measured {number}; model {number}\\.", alone.caption)
+    assert not alone.enlarged
 
 
 def test_the_uneven_part_of_a_flux_is_what_is_odd_in_i_q() -> None:

@@ -135,7 +135,7 @@ def test_currents_beyond_the_rating_are_marked(material: Material) -> None:
 
 
 def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Material, run: Path) -> None:
-    assert "not known" in lines(material)["R_s at 20 °C"]
+    assert "assuming 20 °C when the run began, as its temperature is not known" in lines(material)["R_s at 20 °C"]
     record = RunDirectory.open(run).record
     procedure = record.procedure.model_copy(update={"about": About(ambient_c=45.0)})
     warm = Material(**{**vars(material), "record": record.model_copy(update={"procedure": procedure})})
