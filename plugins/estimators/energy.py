@@ -74,8 +74,8 @@ class EnergyEstimator:
         if fit.stiffening_per_h:
             loss_percent = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
             text = (
-                "injection gives {less_percent:.1f} % less flux than the sweeps, as with hysteresis, among other "
-                "causes; a diagnosis can tell. The map has the sweeps' flux and its slopes as inductances"
+                "injection gives {less_percent:.1f} % less flux than the sweeps, which has several possible causes; "
+                "a diagnosis can tell. The map has the sweeps' flux and its slopes as inductances"
             )
             add("hysteresis", text, less_percent=loss_percent)
         if fit.scales[0] > self.misfit_sigmas and fit.correlation > self.misfit_correlation:
