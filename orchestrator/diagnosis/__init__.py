@@ -6,7 +6,7 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 
 from orchestrator.diagnosis._compare import bare_model_step, compare_recording, model_step
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
-from orchestrator.diagnosis._known import KnownEffects
+from orchestrator.diagnosis._known import KnownEffects, inseparable_groups
 from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, require_known
@@ -44,6 +44,7 @@ __all__ = [
     "flux_map_of",
     "guarded",
     "in_words",
+    "inseparable_groups",
     "judge",
     "linear_magnetics",
     "load_diagnosis",

@@ -10,16 +10,37 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from orchestrator.diagnosis._prepare import open_for_refit
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import MIN_IMITATED_SHARE, own_signal, resembling
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, MIN_IMITATED_SHARE, holds, own_signal, resembling
 from orchestrator.diagnosis.selection.first_models import first_steps
 from orchestrator.diagnosis.selection.scoring import fits_as_well
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import evidence_gain
+from orchestrator.diagnosis.weak_form.preparation import prepare
 from orchestrator.recording import Recording
 from protocols import Effect, ParameterRole
+
+
+def inseparable_groups(recording: Recording, library: Sequence[Effect]) -> Mapping[str, tuple[str, ...]]:
+    """Names of effects that act alike in a recording, by the measurement that it lacks, in words.
+
+    Only what the effects declare as needed is compared with what was measured: no effect is fitted.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError
+        As `diagnose_recording`.
+    """
+    prepared = prepare(recording, Criteria())
+    groups = {
+        recognition.text: tuple(effect.name for effect in library if contrast in effect.needs)
+        for contrast, recognition in CONTRASTS.items()
+        if not holds(prepared, contrast)
+    }
+    return {text: names for text, names in groups.items() if len(names) > 1}
 
 
 @dataclass(frozen=True)

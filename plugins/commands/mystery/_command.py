@@ -12,7 +12,7 @@ import typer
 
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import in_degrees, plural, quantity
-from orchestrator.formatting.sentences import shown, visible
+from orchestrator.formatting.sentences import listed, shown, visible
 from plugins.command_line import AsJson, Quiet, entry_point
 from protocols import InputError
 
@@ -149,6 +149,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line(f"  fluxbench compare {path}")
         _print_line(f"The same in pictures, which name nothing, in {path / 'report.html'}:")
         _print_line(f"  fluxbench report {path}")
+        _print_inseparable(path)
         _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
@@ -158,6 +159,19 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line("What the diagnosis finds, which gives most of it away; --reveal prints what is hidden:")
         _print_line(f"  fluxbench diagnose {path}")
     return 0
+
+
+def _print_inseparable(path: Path) -> None:
+    """What the recording lacks, and the effects that act alike without it, whatever is hidden."""
+    from orchestrator.diagnosis import inseparable_groups
+    from orchestrator.interface.api import chosen_effects
+    from orchestrator.recording import open_recording
+
+    groups = inseparable_groups(open_recording(path), chosen_effects())
+    if groups:
+        _print_line("What this recording lacks, and which effects act alike without it, whatever is hidden:")
+    for lacking, names in groups.items():
+        _print_line(f"  no {lacking.removeprefix('a ').removeprefix('the ')}: {listed(list(names))}")
 
 
 def _refuse_another(number: int, path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.diagnosis import KnownEffects
+from orchestrator.diagnosis import KnownEffects, inseparable_groups
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from protocols import Effect
@@ -24,3 +24,9 @@ def test_the_recording_shows_a_large_effect_and_not_a_small_one(with_dead_time: 
     known = KnownEffects(with_dead_time, true, LIBRARY)
     assert known.shows("dead_time")
     assert not known.shows("voltage_bias")
+
+
+def test_effects_act_alike_where_the_recording_lacks_what_both_declare_as_needed(with_dead_time: Recording) -> None:
+    groups = inseparable_groups(with_dead_time, LIBRARY)
+    assert groups["direct currents at a second PWM frequency"] == ("dead_time", "device_drop")
+    assert not any("voltage_bias" in names for names in groups.values())  # alone in what it needs

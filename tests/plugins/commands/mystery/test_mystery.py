@@ -256,3 +256,11 @@ def test_a_number_that_was_read_off_in_per_cent_is_told_how_to_be_written(capsys
     ):
         _print_verdict(judge(read_guess(guess), hidden))
         assert capsys.readouterr().out.splitlines()[0].endswith(end)
+
+
+def test_it_says_before_a_guess_what_its_recording_cannot_tell_apart(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    printed = verdict_on(capsys, run)
+    assert "no rotor locked at a second angle: rotor_misalignment, sampling_offset and slot_harmonics" in printed
+    assert "second PWM frequency" not in printed  # it has two
