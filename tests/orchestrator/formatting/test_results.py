@@ -15,6 +15,7 @@ from orchestrator.formatting.results import (
     joint_bound,
     ladder_rows,
     mutual_twins,
+    objection_words,
     parameter_rows,
     part_notes,
     resistance_course,
@@ -25,6 +26,7 @@ from orchestrator.formatting.results import (
 )
 from protocols import (
     Companion,
+    EstimationReport,
     FoundEffect,
     JointEntry,
     Materiality,
@@ -202,3 +204,9 @@ def test_a_change_that_did_not_help_says_how_to_undo_it(code: str, line: str) ->
     remark = Remark(code=code, values={"effect": "dead_time"}, text="It did")
     assert benefit_line(remark, "runs/a") == line
     assert benefit_line(remark, "runs/a", " --effects f.py") == line.replace("dead_time`", "dead_time --effects f.py`")
+
+
+def test_an_objection_to_a_map_does_not_repeat_the_name_of_its_method() -> None:
+    report = EstimationReport.model_construct(method="energy")
+    assert objection_words(report, Remark(code="few", text="few points").by("energy")) == "few points"
+    assert objection_words(report, Remark(code="few", text="few points").by("other")) == "other: few points"
