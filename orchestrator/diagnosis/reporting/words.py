@@ -91,7 +91,7 @@ def _where(diagnosis: Diagnosis) -> str:
     before = "before the effects were added, " if len(diagnosis.search.steps) > 1 else ""
     return (
         f"{before}worst in {_stage_words(piece)} ({piece.segment.id}, {reach}): {quantity(rms, 'V')} rms; "
-        f"noise floor of this segment {quantity(floor, 'V')}"
+        f"noise alone leaves {quantity(floor, 'V')} in this segment"
     )
 
 
