@@ -26,7 +26,6 @@ from orchestrator.formatting.results import (
 )
 from protocols import (
     Companion,
-    EstimationReport,
     FoundEffect,
     JointEntry,
     Materiality,
@@ -36,6 +35,7 @@ from protocols import (
     ResistanceReading,
     Rung,
 )
+from tests.plugins.streams.example_run import a_report
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -207,6 +207,6 @@ def test_a_change_that_did_not_help_says_how_to_undo_it(code: str, line: str) ->
 
 
 def test_an_objection_to_a_map_does_not_repeat_the_name_of_its_method() -> None:
-    report = EstimationReport.model_construct(method="energy")
-    assert objection_words(report, Remark(code="few", text="few points").by("energy")) == "few points"
+    report = a_report()
+    assert objection_words(report, Remark(code="few", text="few points").by("injection")) == "few points"
     assert objection_words(report, Remark(code="few", text="few points").by("other")) == "other: few points"
