@@ -60,6 +60,8 @@ MIN_PREDICTED_REDUCTION: float = 2.0
 """Predicted reduction below which a failed step is not tried again: one in log evidence."""
 MAX_RETURNS: int = 5
 """Steps after a failed one in which a fit may come back to a curved valley further on."""
+MAX_RISE: float = 2.0
+"""Rise of the objective by relinearisation that a descent may end with: one in log evidence."""
 MAX_HALVINGS: int = 4
 """Halvings of a descent whose end does not bear relinearisation."""
 FEW_COLUMNS: int = 6
@@ -178,7 +180,7 @@ class Fitter:
         linearised, the descent may end at a model that is worse than none. Steps are halved while that helps.
         """
         renewed = self.relinearise(fit.model, fit.linearisation)
-        model, bearable = fit.model, bearable + max(OBJECTIVE_SLACK, MIN_RELINEARISATION_CHANGE * fit.chi2)
+        model, bearable = fit.model, bearable + max(MAX_RISE, MIN_RELINEARISATION_CHANGE * fit.chi2)
         for _ in range(MAX_HALVINGS if renewed.objective > bearable else 0):
             model = midway(fit.linearisation.model, model)
             nearer = self.relinearise(model, fit.linearisation)

@@ -50,10 +50,11 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     sizes = {} if state.is_explained else contributions(state.setup, first, whole)
     limit = _imitable_share(first, whole)
     below = tuple(n for n in names if n in sizes and sizes[n].share <= limit)
+    causes = [n for n in names if n not in below]
+    if (smaller := _without_dispensable(state, causes)) is not None:
+        return plain_ladder(smaller, steps)
     for name in below:
         _record_name(state, name, sizes[name], limit, taken=False, note=IMITABLE)
-    causes = needed_to_explain(state, [n for n in names if n not in below])
-    below = tuple(n for n in names if n not in causes)
     return SearchResult(_rungs(state, steps, causes, gains), *_beside(state), view=state.view, below_materiality=below)
 
 
@@ -97,9 +98,10 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     notes |= {n: IMITABLE for n in order if sizes[n].share <= imitable}
     clear = [n for n in order if n not in notes]
     causes = [n for n in clear if sizes[n].share > min_share or is_material(sizes[n], whole)]
+    if (smaller := _without_dispensable(state, causes)) is not None:
+        return build_ladder(smaller, steps)
     for name in order:
         _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
-    causes = needed_to_explain(state, causes)
     below = tuple(n for n in order if n not in causes)
     rungs = _rungs(state, steps, causes, factors)
     return SearchResult(
@@ -107,35 +109,26 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     )
 
 
-def needed_to_explain(state: SearchState, causes: Sequence[str]) -> list[str]:
-    """The causes less as many as a model can lose, the weakest first, and still explain the recording.
+def _without_dispensable(state: SearchState, causes: Sequence[str]) -> SearchState | None:
+    """The state without as many causes as it can lose, the weakest first, and still explain the recording.
 
-    Beside a large effect a small one may be that one's other form, however much evidence there is for it. It stays in
-    the model.
+    Beside a large effect a small one may be that one's other form, however much evidence there is for it, and two that
+    balance each other turn the map. None where all are needed.
     """
-    fit, kept = state.fit, list(causes)
+    fit, gone = state.fit, list[str]()
     limit = 1.0 + fit.criteria.verdict.explained_excess_chi2
     rise = {a.name: loss_without(fit, a, a.candidate.amplitudes) / fit.dof for a in fit.model.active}
     for name in sorted(causes, key=lambda name: rise[name]):
-        if len(kept) == 1 or fit.chi2_per_dof + rise[name] > LINEAR_MARGIN * limit:
+        if len(gone) + 1 == len(causes) or state.fit.chi2_per_dof + rise[name] > LINEAR_MARGIN * limit:
             break
-        staying = [a for a in fit.model.active if a.name != name and (a.name in kept or a.name not in causes)]
-        without = state.minimum(fit.model.with_active(staying))
-        is_needed = without.chi2_per_dof > limit
-        state.fitter.trace.record(
-            "name",
-            [name],
-            before=fit,
-            after=without,
-            measure="chi2_per_dof",
-            score=without.chi2_per_dof,
-            threshold=limit,
-            taken=is_needed,
-            note="" if is_needed else "the others explain the recording without it",
-        )
-        if not is_needed:
-            kept.remove(name)
-    return kept
+        without = state.minimum(fit.model.with_active([a for a in fit.model.active if a.name not in [*gone, name]]))
+        chi2 = without.chi2_per_dof
+        note = "the others explain the recording without it" if chi2 <= limit else ""
+        state.record("remove", (name,), without, chi2, limit, measure="chi2_per_dof", taken=chi2 <= limit, note=note)
+        if chi2 <= limit:
+            gone.append(name)
+            state = replace(state, fit=without, view=None, refused=(*state.refused, name))
+    return state if gone else None
 
 
 def _rungs(
