@@ -17,8 +17,8 @@ from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import (
     BLOCKS,
-    FORM_STD,
     RIPPLE_FORM_STD,
+    SIZE_STD,
     block_scatter,
     block_scatter_ratio,
     certainty,
@@ -133,12 +133,12 @@ def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delaye
 
 
 @pytest.mark.slow
-def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Recording) -> None:
+def test_a_size_that_currents_at_rest_show_is_believed_as_far_as_its_curve_may_have_another_shape(with_dead_time: Recording) -> None:
     fitter, fit = fitted(with_dead_time, DeadTime())
     active, name = fit.model.free[0]
     assert name == "voltage_v"
     spread = float(standardised_std(fitter, fit)[0])
-    assert FORM_STD * active.standardised_value(name) < spread < 0.2 * RIPPLE_FORM_STD * active.standardised_value(name)
+    assert SIZE_STD * active.standardised_value(name) < spread < 1.2 * SIZE_STD * active.standardised_value(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread
 
 
