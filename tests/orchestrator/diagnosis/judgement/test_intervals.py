@@ -133,7 +133,7 @@ def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delaye
 
 
 @pytest.mark.slow
-def test_a_size_that_currents_at_rest_show_is_believed_as_far_as_its_curve_may_have_another_shape(with_dead_time: Recording) -> None:
+def test_a_size_that_currents_at_rest_show_is_known_as_its_curve_is(with_dead_time: Recording) -> None:
     fitter, fit = fitted(with_dead_time, DeadTime())
     active, name = fit.model.free[0]
     assert name == "voltage_v"
