@@ -18,7 +18,8 @@ DATA_LINES = {"part": "on a part of the recording, which is faster:", "whole": "
 def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     """What a search did, in order: a sentence for each decisive move, with its number.
 
-    A line without a number says on which data the next moves were made. A sentence that would be repeated is left out.
+    A line without a number says on which data the next moves were made. A sentence that would be repeated is left out,
+    and so is a tie that another move states.
     """
     last_screen = max((e.step for e in events if e.move == "screen" and e.data == "whole"), default=None)
     lines: list[str] = []
@@ -27,6 +28,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     model: set[str] = set()
     found_together: set[str] = set()
     stated: set[str] = set()
+    repeated = _repeated_ties(events)
     for event in events:
         if event.move == "screen":
             tried = []
@@ -40,7 +42,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
                 sentence = f"{sentence}{_new_ones(found_together - set(event.effects))}"
                 found_together = set()
             model = _model_after(event, model)
-        if sentence is None or sentence in stated:
+        if sentence is None or sentence in stated or event.step in repeated:
             continue
         stated.add(sentence)
         if event.data != data:
@@ -138,6 +140,19 @@ def _exchanged(event: SearchEvent) -> str | None:
     values = [number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None]
     sizes = f"chi2 {values[0]} with {old}, {values[1]} with {new}" if len(values) == 2 else f"chi2 {listed(values)}"
     return f"{new} in place of {old}: {_BY[event.data]} does not separate the two, {sizes}"
+
+
+def _repeated_ties(events: Sequence[SearchEvent]) -> set[int]:
+    """Steps that changed nothing and found a tie of two effects that another step states, in either direction."""
+    ties: dict[frozenset[str], list[SearchEvent]] = {}
+    for event in events:
+        if event.move in ("swap", "merge") and event.note:
+            ties.setdefault(frozenset(event.effects), []).append(event)
+    repeated = set()
+    for tied in ties.values():
+        stated = next((event for event in tied if event.decision == "accepted"), tied[-1])
+        repeated |= {event.step for event in tied if event.decision != "accepted" and event is not stated}
+    return repeated
 
 
 _BY: Mapping[str, str] = {"part": "this part", "whole": "the recording"}

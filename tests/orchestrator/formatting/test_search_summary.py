@@ -115,6 +115,15 @@ def test_a_swap_that_the_recording_does_not_decide_is_said_to_be_one_and_nothing
     assert lines[-1].endswith("two that this part does not separate")
 
 
+def test_a_tie_is_stated_once_whatever_its_direction() -> None:
+    there = {"move": "swap", "effects": ("device_drop", "dead_time"), "note": "both do as well", **chi2(1.13, 1.08)}
+    back = there | {"effects": ("dead_time", "device_drop"), "decision": "rejected"} | chi2(1.08, 1.13)
+    (line,) = moves(there, back)
+    assert line.startswith("1. device drop takes the place of dead time")
+    part = there | {"decision": "rejected", "data": "part"}
+    assert [line.split(" in place")[0] for line in moves(part, back)] == ["2. dead time"]
+
+
 def test_what_an_effect_leaves_without_it_is_told_from_the_ladder_once() -> None:
     stays = {"move": "remove", "effects": ("dead_time",), "decision": "rejected", **chi2(1.0, 80.0)}
     (note,) = search_notes(recorded(stays, stays | {"effects": ("bus_sag",)}))
