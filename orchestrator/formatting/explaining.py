@@ -32,7 +32,8 @@ _MOVE_MEANINGS: Mapping[str, str] = {
     "left, or within chance, none is tried",
     "refit": "a fit with one of these effects each; the one of the largest gain is added next",
     "add": "fitted on from the refit, linearised anew, so that its chi2 may differ from the refit's",
-    "full_model": "all effects of the library at once; those that nothing requires are removed again",
+    "full_model": "all effects of the library at once, where two leave more than noise, or no single one promises half "
+    "of what all do; those that nothing requires are removed again",
     "swap": "one effect in place of another",
     "merge": "two effects that the recording does not separate become one",
     "free_shape": "the form of an effect's curve is fitted, too",

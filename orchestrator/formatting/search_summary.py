@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number, percent
@@ -12,6 +12,14 @@ from protocols import SearchEvent, SearchMove
 MIN_FALL_RATIO = 0.1
 """Fall of chi2 over its former value from which a shape that is fitted too is worth a sentence."""
 LESS_EVIDENCE = "with less log evidence, which decides and counts parameters and usual sizes, too"
+LEFT_OUT = (
+    "numbers left out: trials that changed nothing, fits that prepare the next step, changes of an effect's form that "
+    f"lower chi2 by less than {percent(100.0 * MIN_FALL_RATIO)}, and the choice of the causes below"
+)
+WITHOUT_IT = (
+    "without it: the other effects are refitted then; the ladder of `diagnose` adds the effects one by one, at their "
+    "final sizes"
+)
 DATA_LINES = {"part": "on a part of the recording, which is faster:", "whole": "on the whole recording:"}
 
 
@@ -34,7 +42,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
             tried = []
         if event.move == "refit":
             tried.append(event)
-        sentence = _none_is_missing(event) if event.step == last_screen else _sentence(event, tried)
+        sentence = _none_is_missing(event) if event.step == last_screen else _sentence(event, tried, model)
         if event.decision == "accepted":
             if event.move == "full_model":
                 found_together = set(event.effects) - model
@@ -53,13 +61,10 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
 
 
 def search_notes(events: Sequence[SearchEvent]) -> list[str]:
-    """How values of chi2 in a search's summary stand to those that a diagnosis prints elsewhere."""
-    if any(event.move == "remove" and _is_kept(event) for event in events):
-        return [
-            "without it: the other effects are refitted then; the ladder of `diagnose` adds the effects one by one, at "
-            "their final sizes"
-        ]
-    return []
+    """What a search's summary leaves out, and how its values of chi2 stand to those of `diagnose`."""
+    numbers = [int(line.split(".")[0]) for line in search_summary(events) if line[0].isdigit()]
+    is_kept = any(event.move == "remove" and _is_kept(event) for event in events)
+    return [LEFT_OUT] * (len(numbers) < len(events)) + [WITHOUT_IT] * is_kept
 
 
 def noise_note(events: Sequence[SearchEvent]) -> str:
@@ -75,7 +80,7 @@ def noise_note(events: Sequence[SearchEvent]) -> str:
 def _model_after(event: SearchEvent, model: set[str]) -> set[str]:
     """The effects of the model after an accepted move."""
     names = set(event.effects)
-    if event.move in ("add", "full_model"):
+    if event.move in ("baseline", "add", "full_model"):
         return model | names
     if event.move in ("swap", "merge"):
         return model - names | set(event.effects[:1])
@@ -88,10 +93,12 @@ def _new_ones(names: set[str]) -> str:
     )
 
 
-def _sentence(event: SearchEvent, tried: Sequence[SearchEvent]) -> str | None:
+def _sentence(event: SearchEvent, tried: Sequence[SearchEvent], model: Collection[str]) -> str | None:
     """A sentence on a move; None for one that left the model as it was and decided nothing."""
     if event.move == "add" and event.decision == "accepted":
         return f"{_names(event)} {_is(event)} added: {_course(event)}{_runner_up(event, tried)}"
+    if event.move == "full_model" and event.decision == "accepted":
+        return _all_together(event, model)
     if event.move == "remove":
         return _removed(event)
     if event.move in ("swap", "merge") and len(event.effects) == 2:
@@ -100,6 +107,16 @@ def _sentence(event: SearchEvent, tried: Sequence[SearchEvent]) -> str | None:
         return _no_cause(event)
     text = _ACCEPTED.get(event.move)
     return None if text is None or event.decision != "accepted" else text(event)
+
+
+def _all_together(event: SearchEvent, model: Collection[str]) -> str:
+    """Why and with what success all effects are fitted at once."""
+    why = (
+        f"{listed(sorted(plain(name) for name in model))} leave more than noise"
+        if len(model) > 1
+        else "no single one promises half of what all absent ones do together"
+    )
+    return f"{why}, so all {len(event.effects)} effects that it can show are fitted together: {_course(event)}"
 
 
 def _no_cause(event: SearchEvent) -> str:
@@ -184,12 +201,13 @@ def _shape(event: SearchEvent) -> str | None:
 
 _ACCEPTED: Mapping[SearchMove, Callable[[SearchEvent], str | None]] = {
     "baseline": lambda e: f"the search begins at chi2 {number(e.chi2_after, 4)}",
-    "full_model": lambda e: f"all {len(e.effects)} effects that it can show are fitted together: {_course(e)}",
     "free_shape": _shape,
-    "switch_form": lambda e: f"{_names(e)} takes its other form: {_course(e)}",
-    "finer_map": lambda e: f"a finer flux map is taken: {_course(e)}",
-    "coarser_map": lambda e: f"a coarser flux map is enough: {_course(e)}",
-    "noise": lambda e: f"scatter between segments, or the model's own error, counts as noise: {_course(e)}",
+    "switch_form": lambda e: f"{_names(e)} takes its other form: {_course_with_evidence(e)}",
+    "finer_map": lambda e: f"a finer flux map is taken: {_course_with_evidence(e)}",
+    "coarser_map": lambda e: f"a coarser flux map is enough: {_course_with_evidence(e)}",
+    "noise": lambda e: (
+        f"scatter between segments, or the model's own error, counts as noise: {_course_with_evidence(e)}"
+    ),
     "quantiser": lambda e: f"the PWM timer's rounding is accounted for: {_course(e)}",
     "switching_ripple": lambda e: f"the current's ripple within a PWM period is accounted for: {_course(e)}",
 }
@@ -199,6 +217,21 @@ _ACCEPTED: Mapping[SearchMove, Callable[[SearchEvent], str | None]] = {
 def _course(event: SearchEvent) -> str:
     values = [number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None]
     return f"chi2 {' → '.join(dict.fromkeys(values))}"
+
+
+def _course_with_evidence(event: SearchEvent) -> str:
+    """The course of chi2, and what decided: the rise of the log evidence, or the fall of the summed chi2."""
+    change = _CHANGES.get(event.measure or "")
+    if change is None or event.score is None or event.threshold is None:
+        return _course(event)
+    return f"{_course(event)}; {change.format(number(event.score, 3))}, {number(event.threshold, 3)} needed"
+
+
+_CHANGES: Mapping[str, str] = {
+    "log_evidence": "log evidence rises by {} nat",
+    "objective": "the summed chi2 falls by {}",
+}
+"""Changes by which a map, a form or noise is accepted."""
 
 
 def _names(event: SearchEvent) -> str:

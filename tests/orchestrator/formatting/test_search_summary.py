@@ -53,8 +53,40 @@ def test_after_all_effects_together_it_says_which_are_new() -> None:
         {"move": "full_model", "effects": ("dead_time", "bus_sag", "hysteresis"), **chi2(20.0, 1.0)},
         {"move": "remove", "effects": ("hysteresis",), **chi2(1.0, 1.01)},
     )
-    assert lines[1] == "2. all 3 effects that it can show are fitted together: chi2 20 → 1"
+    assert lines[1] == (
+        "2. no single one promises half of what all absent ones do together, so all 3 effects that it can show are "
+        "fitted together: chi2 20 → 1"
+    )
     assert lines[2] == "3. hysteresis is removed, which the data do not require: chi2 1 → 1.01; bus sag is new"
+
+
+def test_all_effects_together_follow_where_two_leave_more_than_noise() -> None:
+    lines = moves(
+        {"move": "add", "effects": ("dead_time",), **chi2(80.0, 20.0)},
+        {"move": "add", "effects": ("bus_sag",), **chi2(20.0, 9.0)},
+        {"move": "full_model", "effects": ("dead_time", "bus_sag", "hysteresis"), **chi2(9.0, 1.0)},
+    )
+    assert lines[-1].startswith("3. bus sag and dead time leave more than noise, so all 3 effects")
+
+
+def test_a_map_that_hardly_changes_chi2_has_the_evidence_that_decided_beside_it() -> None:
+    evidence = {"measure": "log_evidence", "score": 7.21, "threshold": 3.0}
+    chi2_of_all = {"measure": "objective", "score": 4.36, "threshold": 0.0}
+    assert moves({"move": "finer_map", **chi2_of_all, **chi2(1.213, 1.212)}) == [
+        "1. a finer flux map is taken: chi2 1.213 → 1.212; the summed chi2 falls by 4.36, 0 needed"
+    ]
+    assert moves({"move": "finer_map", **evidence, **chi2(1.213, 1.212)}) == [
+        "1. a finer flux map is taken: chi2 1.213 → 1.212; log evidence rises by 7.21 nat, 3 needed"
+    ]
+
+
+def test_numbers_that_the_summary_leaves_out_are_accounted_for() -> None:
+    begins, trial = (
+        {"move": "baseline", "chi2_after": 29.7},
+        {"move": "noise", "decision": "rejected", **chi2(2.0, 2.0)},
+    )
+    assert search_notes(recorded(begins)) == []
+    assert search_notes(recorded(begins, trial))[0].startswith("numbers left out: trials that changed nothing")
 
 
 def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
@@ -129,7 +161,8 @@ def test_what_an_effect_leaves_without_it_is_told_from_the_ladder_once() -> None
     (note,) = search_notes(recorded(stays, stays | {"effects": ("bus_sag",)}))
     assert note.startswith("without it: the other effects are refitted")
     assert "ladder" in note
-    assert search_notes(recorded(stays | {"data": "part"}, stays | {"decision": "accepted"})) == []
+    others = search_notes(recorded(stays | {"data": "part"}, stays | {"decision": "accepted"}))
+    assert not any("without it" in note for note in others)
 
 
 def test_noise_that_was_counted_on_the_way_explains_another_first_chi2() -> None:
