@@ -18,9 +18,12 @@ LEFT_OUT = (
 )
 WITHOUT_IT = (
     "without it: the other effects are refitted then; the ladder of `diagnose` adds the effects one by one, at their "
-    "final sizes"
+    "final sizes, so that its chi2 over the same stages is another"
 )
-DATA_LINES = {"part": "on a part of the recording, which is faster:", "whole": "on the whole recording:"}
+DATA_LINES = {
+    "part": "on a part of the recording, which is faster; chi2 is that of this part:",
+    "whole": "on the whole recording; chi2 is that of all fitted stages:",
+}
 
 
 def search_summary(events: Sequence[SearchEvent]) -> list[str]:

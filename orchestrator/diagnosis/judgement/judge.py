@@ -230,7 +230,7 @@ def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) ->
     chi2 = _or_infinite(record.chi2_after)
     value, allowed = _as_texts(chi2, limit)
     fell = f"fell from {number(record.chi2_before)} to {value}" if record.effects else f"is {value}"
-    text = f"chi2 per degree of freedom {fell}; noise alone makes up to {allowed}."
+    text = f"chi2 per degree of freedom of the fitted stages {fell}; noise alone makes up to {allowed}."
     reasons = [Reason(quantity="chi2_per_dof", value=chi2, limit=limit, sentence=text)]
     if record.held_out_chi2 is not None:
         value, allowed = _as_texts(record.held_out_chi2, held_out_limit)

@@ -46,7 +46,7 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
         say(f"  model.json was changed since: {', '.join(explanation.model_changes)}")
     search = explanation.search
     if search:
-        say("", "how the search got there (chi2 per degree of freedom, 1 is noise alone):")
+        say("", "how the search got there (chi2 per degree of freedom of the fitted stages; 1 is noise alone):")
         say(*(f"  {line}" for line in search_summary(search)))
         say(*(f"  {note}" for note in search_notes(search)))
         if not steps:

@@ -42,7 +42,7 @@ def test_an_added_effect_stands_beside_the_best_of_the_others() -> None:
     )
     assert lines == [
         "1. the search begins at chi2 900",
-        "on a part of the recording, which is faster:",
+        "on a part of the recording, which is faster; chi2 is that of this part:",
         "6. dead time is added: chi2 80 → 2; device drop instead would leave 5",
     ]
 

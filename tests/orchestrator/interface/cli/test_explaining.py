@@ -55,7 +55,7 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     out = capsys.readouterr().out
     first, second, *_ = out.splitlines()
     assert first.startswith(f"{diagnosed}: explained")
-    assert second == "  chi2 per degree of freedom fell from 900 to 1.01; noise alone makes up to 1.08."
+    assert second == "  chi2 per degree of freedom of the fitted stages fell from 900 to 1.01; noise alone makes up to 1.08."
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move recording effects gain needed chi2 outcome" in rows
     assert "2 add whole dead time 812 nat 16 nat – accepted" in rows
@@ -173,7 +173,7 @@ def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_do
     _diagnosis._print_diagnosis(Path("runs/mine"), a_report(), WORDS)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "runs/mine: explained"
-    assert lines[1].startswith("  chi2 per degree of freedom fell from 900 to 1.01")
+    assert lines[1].startswith("  chi2 per degree of freedom of the fitted stages fell from 900 to 1.01")
     assert any("0.4 % of its range" in line for line in lines)
     assert any("±0.12 % of the rated flux" in line for line in lines)
 
