@@ -106,6 +106,8 @@ def _sentence(event: SearchEvent, tried: Sequence[SearchEvent], model: Collectio
         return _removed(event)
     if event.move in ("swap", "merge") and len(event.effects) == 2:
         return _exchanged(event)
+    if event.move == "name" and event.measure == "chi2_per_dof":
+        return _needed_to_explain(event)
     if event.move == "name" and event.decision == "rejected" and event.measure == "share":
         return _no_cause(event)
     text = _ACCEPTED.get(event.move)
@@ -120,6 +122,17 @@ def _all_together(event: SearchEvent, model: Collection[str]) -> str:
         else "no single one promises half of what all absent ones do together"
     )
     return f"{why}, so all {len(event.effects)} effects that it can show are fitted together: {_course(event)}"
+
+
+def _needed_to_explain(event: SearchEvent) -> str:
+    """Whether the recording is explained without an effect of the model, which then is no cause."""
+    left, limit = number(event.score, 4), number(event.threshold, 3)
+    if event.decision == "accepted":
+        return f"{_names(event)} is a cause: without it chi2 is {left}, where explained allows up to {limit}"
+    return (
+        f"{_names(event)} is in the model and no cause, because {event.note}: chi2 is {left} then, and explained "
+        f"allows up to {limit}"
+    )
 
 
 def _no_cause(event: SearchEvent) -> str:
