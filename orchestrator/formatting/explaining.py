@@ -9,13 +9,9 @@ from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import UNKNOWN, number, percent
 from orchestrator.formatting.results import part_words, probability_words
 from orchestrator.formatting.sentences import listed
-from protocols import DiagnosisReport, EffectBasis, Reason, SearchEvent, SearchMeasure
+from protocols import DiagnosisReport, EffectBasis, Explanation, Reason, SearchEvent, SearchMeasure, VerdictLimits
 
 SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "needed", "chi2", "outcome")
-BASIS_HEAD = (
-    "effect", "of its typical size", "error without it", "log evidence", "probability", "material", "steps",
-    "indistinguishable from",
-)  # fmt: skip
 LOG_EVIDENCE_SCALE = (
     "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it, so that large values are usual"
 )
@@ -125,8 +121,48 @@ def search_lines(events: Sequence[SearchEvent]) -> list[str]:
     return lines
 
 
+def basis_head(explanation: Explanation) -> tuple[str, ...]:
+    """Heads of the columns of `basis_rows`; below them the limits that this diagnosis compared them with."""
+    search, record = explanation.search, explanation.verdict_record
+    heads = (
+        ["effect"],
+        ["of its typical size"],
+        ["error without it", *_limit(search, "name", "share")],
+        ["log evidence", *_limit(search, "add", "log_evidence")],
+        ["probability"],
+        ["material", *([] if record is None else _material_limits(record.limits))],
+        ["steps"],
+        ["indistinguishable from"],
+    )
+    height = max(map(len, heads))
+    return tuple("\n".join([*lines, *[" "] * (height - len(lines))]) for lines in heads)
+
+
+def limit_notes(explanation: Explanation) -> list[str]:
+    """What the limits in `basis_head` decide, for those that occur."""
+    search = explanation.search
+    added = "limit of the log evidence: what an effect that is added alone has to bring"
+    named = (
+        "limit of the error without it: above it, or if material, an effect is a cause where all were fitted at once"
+    )
+    pairs = ((added, _limit(search, "add", "log_evidence")), (named, _limit(search, "name", "share")))
+    return [note for note, limit in pairs if limit]
+
+
+def _limit(events: Sequence[SearchEvent], move: str, measure: SearchMeasure) -> list[str]:
+    """The one limit of the accepted moves of a kind, for the head of a column; none where there are several."""
+    limits = {e.threshold for e in events if (e.move, e.measure, e.decision) == (move, measure, "accepted")}
+    limit = limits.pop() if len(limits) == 1 else None
+    return [] if limit is None else [f"> {_scored(limit, measure)}"]
+
+
+def _material_limits(limits: VerdictLimits) -> list[str]:
+    flux, volts = percent(100.0 * limits.material_flux), percent(100.0 * limits.material_voltage)
+    return [f"> {flux} of flux", f"or {volts} of voltage"]
+
+
 def basis_rows(effects: Sequence[EffectBasis], events: Sequence[SearchEvent] = ()) -> list[tuple[str, ...]]:
-    """The evidence for each named effect, marked where it is of a part of the recording; see `BASIS_HEAD`."""
+    """The evidence for each named effect, marked where it is of a part of the recording; see `basis_head`."""
     return [
         (
             plain(effect.name),

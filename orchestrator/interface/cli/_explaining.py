@@ -6,9 +6,10 @@ import shlex
 from pathlib import Path
 
 from orchestrator.formatting.explaining import (
-    BASIS_HEAD,
     SEARCH_HEAD,
+    basis_head,
     basis_rows,
+    limit_notes,
     log_evidence_notes,
     reason_sentences,
     search_legend,
@@ -57,13 +58,14 @@ def _print(path: Path, explanation: Explanation, steps: bool) -> None:
         say_notes(search_legend(search))
     if explanation.effects:
         say("", "evidence for each named effect:")
-        say_wide_table(BASIS_HEAD, basis_rows(explanation.effects, search))
+        say_wide_table(basis_head(explanation), basis_rows(explanation.effects, search))
         doubt = [STAND_IN] if explanation.verdict == "unknown_remains" else []
         say_notes(
             (
                 *doubt,
                 *explanation.notes,
                 *part_notes(explanation.effects),
+                *limit_notes(explanation),
                 *log_evidence_notes(explanation.effects, search),
             )
         )

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.fitting.progress import SearchRecorder
+from orchestrator.diagnosis.reporting.explanation import explanation_of
 from orchestrator.formatting.explaining import (
     accuracy_sentences,
+    basis_head,
     basis_rows,
+    limit_notes,
     log_evidence_notes,
     reason_sentences,
     search_legend,
@@ -13,6 +16,7 @@ from orchestrator.formatting.explaining import (
     search_rows,
 )
 from protocols import EffectBasis, Reason, SearchEvent
+from tests.orchestrator.diagnosis.judgement.test_judge import a_record
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -83,6 +87,23 @@ def test_a_value_beside_two_limits_is_one_sentence() -> None:
         f"{sentences[0].removesuffix('.')}, mostly explained allows up to 2.5.",
         *sentences[1::2],
     ]
+
+
+def test_a_limit_stands_in_the_head_of_its_column_where_the_search_compared_with_it() -> None:
+    recorder = SearchRecorder()
+    for limit in (16.0, 16.0):
+        recorder.record("add", ["dead_time"], measure="log_evidence", score=812.0, threshold=limit, taken=True)
+    recorder.record("name", ["bus_sag"], measure="share", score=0.5, threshold=0.57, taken=False)
+    record = a_record()
+    explained = explanation_of(a_diagnosis(search=recorder.events, verdict_record=record))
+    heads = [head.split("\n") for head in basis_head(explained)]
+    assert heads[2:4] == [["error without it", " ", " "], ["log evidence", "> 16 nat", " "]]
+    assert heads[5] == ["material", "> 0.2 % of flux", "or 0.5 % of voltage"]
+    assert len(limit_notes(explained)) == 1
+    recorder.record("name", ["dead_time"], measure="share", score=0.9, threshold=0.05, taken=True)
+    named = explanation_of(a_diagnosis(search=recorder.events))
+    assert (basis_head(named)[2], basis_head(named)[5]) == ("error without it\n> 5 %", "material\n ")
+    assert len(limit_notes(named)) == 2
 
 
 def test_evidence_of_a_part_of_the_recording_is_marked_and_the_mark_explained() -> None:
