@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, predicted_separation
 from orchestrator.formatting.sentences import typographic
 from protocols import EstimationReport, NextExperiment, Usability
@@ -15,8 +16,8 @@ DISCOVER_FIRST = "`fluxbench discover RUN` looks for the law that is missing"
 
 def experiment_to_decide(proposal: NextExperiment) -> str:
     """The proposed stage with its duration, and the two effects that it separates."""
-    first, second = proposal.separates
-    stage = f"{proposal.stage['kind']} stage of {duration(60.0 * proposal.minutes)}"
+    first, second = map(plain, proposal.separates)
+    stage = f"{plain(str(proposal.stage['kind']))} stage of {duration(60.0 * proposal.minutes)}"
     return f"{stage}, tells {first} from {second}{predicted_separation(proposal)}"
 
 

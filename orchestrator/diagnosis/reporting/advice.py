@@ -64,8 +64,9 @@ def _beside_discovery(
     proposed = report.next_experiment
     if report.convention is not None:
         return f"{to_decide}; then diagnose again.", ()
-    if proposed is not None and decide.startswith(experiment_to_decide(proposed)):
-        certain, also = _certain(report), to_decide.removeprefix(typographic(experiment_to_decide(proposed)))
+    # Earlier versions saved these words with identifiers.
+    if proposed is not None and plain(decide).startswith(experiment_to_decide(proposed)):
+        certain, also = _certain(report), plain(to_decide).removeprefix(typographic(experiment_to_decide(proposed)))
         measure = f"{_measurement(proposed, run, is_imported=is_imported)}{also}"
         # The experiment comes first: its stage joins the recording, whose drive has no compensation yet.
         return (f"{measure}; then {_remedy(certain)}." if certain else f"{measure}."), certain

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from functools import partial
 from operator import is_
 
@@ -122,8 +122,8 @@ def _signature(diagnosis: Diagnosis, found: FoundEffect, signature: str) -> str:
         return signature
     whole = f"{signature} {_why_alike(diagnosis, found)}"
     if needed := _needed(diagnosis, found):
-        return f"{whole} What would tell it from {listed(found.twins)}, {', '.join(needed)}, was not measured."
-    whole = f"{whole} At this size the recording does not tell it from {listed(found.twins)}."
+        return f"{whole} What would tell it from {_plainly(found.twins)}, {', '.join(needed)}, was not measured."
+    whole = f"{whole} At this size the recording does not tell it from {_plainly(found.twins)}."
     if measured := [CONTRASTS[contrast].text for contrast in _contrasts(diagnosis, found)]:
         return f"{whole} What tells them apart, {', '.join(measured)}, was measured, but too short or too small."
     return f"{whole} Larger currents or longer stages may."
@@ -135,11 +135,11 @@ def _why_alike(diagnosis: Diagnosis, found: FoundEffect) -> str:
     absent = [name for name in found.twins if name not in present]
     sentences = []
     if absent:
-        sentences.append(f"In its place {listed(absent)} would leave the same residual, within the noise.")
+        sentences.append(f"In its place {_plainly(absent)} would leave the same residual, within the noise.")
     if present:
         verb = "are" if len(present) > 1 else "is"
         sentences.append(
-            f"Here it acts like {listed(present)}, which {verb} in the model too: a part of its size may be theirs."
+            f"Here it acts like {_plainly(present)}, which {verb} in the model too: a part of its size may be theirs."
         )
     return " ".join(sentences)
 
@@ -160,7 +160,7 @@ def _contrasts(diagnosis: Diagnosis, found: FoundEffect) -> list[Contrast]:
 def _cause(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.verdict == "clean" and report.minor:
-        return f"none that counts; {listed([e.name for e in report.minor])} shows, and is in the model"
+        return f"none that counts; {_plainly([e.name for e in report.minor])} shows, and is in the model"
     if report.verdict == "clean":
         return "none: the model fits within the noise"
     terms = {a.name: a for a in diagnosis.search.fit.model.active}
@@ -222,10 +222,10 @@ def _named(
     parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []
     absent = [name for name in effect.twins if name not in present]
     shared = [name for name in effect.twins if name in present]
-    parts += [f"indistinguishable from {listed(absent)} here"] if absent else []
-    parts += [f"acts like {listed(shared)} here, which is in the model too"] if shared else []
-    parts += [f"{better} fits better in its place"] if better is not None else []
-    return f"{effect.name} ({'; '.join(parts)})"
+    parts += [f"indistinguishable from {_plainly(absent)} here"] if absent else []
+    parts += [f"acts like {_plainly(shared)} here, which is in the model too"] if shared else []
+    parts += [f"{plain(better)} fits better in its place"] if better is not None else []
+    return f"{plain(effect.name)} ({'; '.join(parts)})"
 
 
 def _is_of_one_angle(effect: FoundEffect, term: EffectTerm | None) -> bool:
@@ -261,6 +261,10 @@ def _gain(diagnosis: Diagnosis) -> str:
     return " ".join([f"{text}.", *gauges]) if gauges else text
 
 
+def _plainly(names: Sequence[str]) -> str:
+    return listed([plain(name) for name in names])
+
+
 def _error_before_and_after(report: DiagnosisReport) -> tuple[str, str]:
     """The error without and with the effects: held out, or else fitted."""
     before, after = report.ladder[0], report.ladder[-1]
@@ -283,10 +287,10 @@ def _next(diagnosis: Diagnosis) -> str:
     better = {name: other for name, other in _better_in_place(diagnosis.report).items() if name in _names(diagnosis)}
     if better:
         name, other = next(iter(better.items()))
-        return f"`fluxbench diagnose RUN --without {name}`: {other} fits better in its place"
+        return f"`fluxbench diagnose RUN --without {name}`: {plain(other)} fits better in its place"
     for term in diagnosis.search.fit.model.active:
         if term.name in _names(diagnosis) and (reached := list(bounds_reached(term))):
-            return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
+            return f"{listed([parameter_words(name) for name in reached])} of {plain(term.name)}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         named = [found for found in diagnosis.report.effects if found.name in proposal.separates]
@@ -297,14 +301,13 @@ def _next(diagnosis: Diagnosis) -> str:
         return inseparable.text
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
-            return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
+            return f"no stage by itself; {listed(needed)} would tell {plain(found.name)} from {_plainly(found.twins)}"
     terms = {term.name: term for term in diagnosis.search.fit.model.active}
     if of_angle := [e.name for e in diagnosis.report.effects if _is_of_one_angle(e, terms.get(e.name))]:
-        return (
-            f"{CONTRASTS[Contrast.SECOND_ANGLE].text}: size and sign of {listed(of_angle)} belong to this angle alone"
-        )
+        angle = CONTRASTS[Contrast.SECOND_ANGLE].text
+        return f"{angle}: size and sign of {_plainly(of_angle)} belong to this angle alone"
     if twins := [found for found in diagnosis.report.effects if found.twins]:
-        return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be separated by the measurements"
+        return f"{plain(twins[0].name)} or {_plainly(twins[0].twins)}: too small to be separated by the measurements"
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
         return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "cannot_tell":

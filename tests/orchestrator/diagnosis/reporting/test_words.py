@@ -62,12 +62,12 @@ def test_a_clean_recording_has_nothing_to_say(search: SearchResult) -> None:
 
 def test_what_is_too_faint_to_be_a_cause_is_stated(search: SearchResult) -> None:
     words = stated(search, verdict="clean", effects=[], minor=[BIAS])
-    assert words.likely_cause == "none that counts; voltage_bias shows, and is in the model"
+    assert words.likely_cause == "none that counts; voltage bias shows, and is in the model"
 
 
 def test_what_was_found_is_named_with_its_size_and_its_signature(search: SearchResult) -> None:
     words = stated(search)
-    assert words.likely_cause == "voltage_bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"
+    assert words.likely_cause == "voltage bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"
     assert words.what_it_looks_like == VoltageBias.signature
     assert words.to_decide == "nothing left to decide"
 
@@ -78,7 +78,7 @@ def test_the_size_of_a_setting_of_the_drive_is_stated_with_the_frequency_and_vol
     setting = {"dead_time": {"value": 2e-7, "low": None, "high": None, "unit": "s"}}
     drive = MAKER.prepared.manifest.drive
     assert stated(search, effects=[{**BIAS, "derived": setting}]).likely_cause == (
-        f"voltage_bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; "
+        f"voltage bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; "
         "dead time 200 ns, to enter as compensation; leave the inverter's own dead time as it is)"
     )
     with_twin = {**BIAS, "derived": setting, "twins": ["current_offset"]}
@@ -114,9 +114,9 @@ def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult, m
     monkeypatch.setattr("orchestrator.diagnosis.reporting.words.holds", lambda *_: False)
     words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
-    assert "indistinguishable from current_offset here" in words.likely_cause
-    alike = "In its place current_offset would leave the same residual, within the noise."
-    parts = f"What would tell it from current_offset, {needed}, was not measured."
+    assert "indistinguishable from current offset here" in words.likely_cause
+    alike = "In its place current offset would leave the same residual, within the noise."
+    parts = f"What would tell it from current offset, {needed}, was not measured."
     assert f"{alike} {parts}" in words.what_it_looks_like
     assert needed in words.to_decide
 
@@ -124,9 +124,9 @@ def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult, m
 def test_a_twin_that_is_in_the_model_too_is_no_alternative(search: SearchResult) -> None:
     offset = {**BIAS, "name": "current_offset", "twins": ["voltage_bias"]}
     words = stated(search, effects=[BIAS, offset])
-    assert "acts like voltage_bias here, which is in the model too" in words.likely_cause
+    assert "acts like voltage bias here, which is in the model too" in words.likely_cause
     assert "indistinguishable" not in words.likely_cause
-    assert "Here it acts like voltage_bias, which is in the model too: a part of its size may be theirs." in (
+    assert "Here it acts like voltage bias, which is in the model too: a part of its size may be theirs." in (
         words.what_it_looks_like
     )
 
@@ -134,14 +134,14 @@ def test_a_twin_that_is_in_the_model_too_is_no_alternative(search: SearchResult)
 def test_twins_that_no_measurement_has_separated_are_too_small_for_it(search: SearchResult) -> None:
     words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     measured = f"What tells them apart, {CONTRASTS[Contrast.GATES_OFF].text}, was measured, but too short or too small."
-    assert f"At this size the recording does not tell it from current_offset. {measured}" in words.what_it_looks_like
-    assert words.to_decide == "voltage_bias or current_offset: too small to be separated by the measurements"
+    assert f"At this size the recording does not tell it from current offset. {measured}" in words.what_it_looks_like
+    assert words.to_decide == "voltage bias or current offset: too small to be separated by the measurements"
 
 
 def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: SearchResult) -> None:
     proposal = {"stage": {"kind": "gates_off"}, "separates": ["voltage_bias", "current_offset"], "minutes": 0.5}
     words = stated(search, next_experiment=proposal)
-    assert words.to_decide == "gates_off stage of 30 s, tells voltage_bias from current_offset"
+    assert words.to_decide == "gates off stage of 30 s, tells voltage bias from current offset"
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Se
 )
 def test_what_is_left_unexplained_is_stated(search: SearchResult, verdict: str, cause: str, next_step: str) -> None:
     words = stated(search, verdict=verdict)
-    assert words.likely_cause.startswith("voltage_bias (")
+    assert words.likely_cause.startswith("voltage bias (")
     assert cause in words.likely_cause
     assert words.to_decide.startswith(next_step)
 
@@ -198,8 +198,8 @@ def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
 @pytest.mark.parametrize(
     ("effect", "advice"),
     [
-        (guarded(Narrow()), "bias of narrow_bias: declare a wider bound in its class and fit again"),
-        (Narrow(), "bias of narrow_bias: beyond it the effect is not plausible, so look for another cause as well"),
+        (guarded(Narrow()), "bias of narrow bias: declare a wider bound in its class and fit again"),
+        (Narrow(), "bias of narrow bias: beyond it the effect is not plausible, so look for another cause as well"),
     ],
 )
 def test_a_cause_at_its_bound_is_stated_with_the_bound_and_what_to_do(effect: Effect, advice: str) -> None:
@@ -215,8 +215,8 @@ def test_a_cause_at_its_bound_is_stated_with_the_bound_and_what_to_do(effect: Ef
 def test_a_cause_in_whose_place_another_fits_better_is_no_certain_one(search: SearchResult) -> None:
     values = {"effect": "voltage_bias", "other": "current_offset", "gain_nat": 20.0}
     words = stated(search, remarks=[{"code": "fits_better_in_place", "text": "fits better", "values": values}])
-    assert words.likely_cause.endswith("; current_offset fits better in its place)")
-    assert words.to_decide == "`fluxbench diagnose RUN --without voltage_bias`: current_offset fits better in its place"
+    assert words.likely_cause.endswith("; current offset fits better in its place)")
+    assert words.to_decide == "`fluxbench diagnose RUN --without voltage_bias`: current offset fits better in its place"
 
 
 def test_a_proposal_states_how_far_it_separates_at_the_size_found(search: SearchResult) -> None:
@@ -228,7 +228,7 @@ def test_a_proposal_states_how_far_it_separates_at_the_size_found(search: Search
         "least_sigmas": 5.0,
     }
     text = stated(search, next_experiment=proposal).to_decide
-    assert text.endswith("from current_offset: by 12 sigma at the size found (95 %: 10 to 15; 5 are enough)")
+    assert text.endswith("from current offset: by 12 sigma at the size found (95 %: 10 to 15; 5 are enough)")
 
 
 def test_what_no_experiment_separates_is_stated_with_the_best_one_s_separation(search: SearchResult) -> None:
@@ -251,7 +251,7 @@ def test_a_size_that_belongs_to_one_rotor_angle_is_stated_so_and_a_second_angle_
     search = SearchResult([AcceptedModel(None, bare), AcceptedModel("slot_harmonics", after)])
     words = stated(search, effects=[slots])
     assert words.likely_cause.endswith("; at this angle; other angles unknown)")
-    angle = "the rotor locked at a second angle: size and sign of slot_harmonics belong to this angle alone"
+    angle = "the rotor locked at a second angle: size and sign of slot harmonics belong to this angle alone"
     assert words.to_decide == angle
     every = dict.fromkeys(("relative", "across", "along_d", "along_q"), slots["parameters"]["relative"])
     assert "other angles" not in stated(search, effects=[{**slots, "parameters": every}]).likely_cause

@@ -81,7 +81,7 @@ def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPat
         "diagnosis: explained",
         "where it fails      worst in resistance-002: 1480 mV rms",
         "what it looks like  An odd step in each phase current.",
-        "likely cause        dead_time (voltage_v 0.4 V, 95 % −0.399 to 0.401)",
+        "likely cause        dead time (voltage_v 0.4 V, 95 % −0.399 to 0.401)",
         "if added            held-out error 350 → 4.2 mV; R_s 4.6 → 4.31 Ω",
         "to decide           resistance stage of 0.27 min",
         "next experiment: resistance, 16 s, separates dead time from device drop; the run continues with it",

@@ -88,7 +88,7 @@ def a_comparison() -> CompareReport:
 WORDS = DiagnosisWords(
     where_it_fails="worst in resistance-002: 1.48e+03 mV rms",
     what_it_looks_like="An odd step in each phase current.",
-    likely_cause="dead_time (voltage_v 0.4 V, 95 % -0.399..0.401)",
+    likely_cause="dead time (voltage_v 0.4 V, 95 % -0.399..0.401)",
     if_added="held-out error 350 -> 4.2 mV; R_s 4.6 -> 4.31 ohm",
     to_decide="resistance stage of 0.27 min",
 )
