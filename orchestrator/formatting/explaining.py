@@ -48,8 +48,7 @@ _MEASURE_MEANINGS: Mapping[str, str] = {
     "objective": "Δchi2: fall of the squared error over the noise's variance, summed over all samples",
     "log_evidence": "nat: rise of the log evidence, the natural logarithm of the odds; 3 nat are odds of 20 to 1, "
     "16 nat of 9 million to 1",
-    "chi2_per_dof": "chi2: its value after the move, per degree of freedom; it has to stay below what is needed; "
-    "without a cause it has to exceed that",
+    "chi2_per_dof": "chi2: its value after the move, per degree of freedom; it has to stay below what is needed",
     "block_scatter": "%: scatter of the effect's size between parts of the recording; above the limit it is no cause",
     "share": "%: part of the first model's error",
 }

@@ -106,8 +106,6 @@ def _sentence(event: SearchEvent, tried: Sequence[SearchEvent], model: Collectio
         return _removed(event)
     if event.move in ("swap", "merge") and len(event.effects) == 2:
         return _exchanged(event)
-    if event.move == "name" and event.measure == "chi2_per_dof":
-        return _needed_to_explain(event)
     if event.move == "name" and event.decision == "rejected" and event.measure == "share":
         return _no_cause(event)
     text = _ACCEPTED.get(event.move)
@@ -124,17 +122,6 @@ def _all_together(event: SearchEvent, model: Collection[str]) -> str:
     return f"{why}, so all {len(event.effects)} effects that it can show are fitted together: {_course(event)}"
 
 
-def _needed_to_explain(event: SearchEvent) -> str:
-    """Whether the recording is explained without an effect of the model, which then is no cause."""
-    left, limit = number(event.score, 4), number(event.threshold, 3)
-    if event.decision == "accepted":
-        return f"{_names(event)} is a cause: without it chi2 is {left}, where explained allows up to {limit}"
-    return (
-        f"{_names(event)} is in the model and no cause, because {event.note}: chi2 is {left} then, and explained "
-        f"allows up to {limit}"
-    )
-
-
 def _no_cause(event: SearchEvent) -> str:
     """Why an effect of the model is not named: too small a share, or the reason where the share is large enough."""
     share, limit = (percent(None if x is None else 100.0 * x) for x in (event.score, event.threshold))
@@ -149,10 +136,12 @@ def _removed(event: SearchEvent) -> str | None:
     if event.decision == "accepted" and event.measure == "block_scatter":
         scatter = percent(None if event.score is None else 100.0 * event.score)
         return f"{_names(event)} {_is(event)} removed: the size differs by {scatter} between parts of the recording"
+    allowed = f", where explained allows up to {number(event.threshold, 3)}" if event.measure == "chi2_per_dof" else ""
     if event.decision == "accepted":
-        return f"{_names(event)} {_is(event)} removed, which the data do not require: {_course(event)}"
+        why = f" ({event.note})" if event.note else ", which the data do not require"
+        return f"{_names(event)} {_is(event)} removed{why}: {_course(event)}{allowed}"
     return (
-        f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}"
+        f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}{allowed}"
         if _is_kept(event)
         else None
     )

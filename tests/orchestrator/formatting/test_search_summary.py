@@ -113,15 +113,14 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
     ]
 
 
-def test_an_effect_without_which_the_others_explain_the_recording_is_said_to_be_no_cause() -> None:
-    without = {"move": "name", "effects": ("bus_sag",), "decision": "rejected", "measure": "chi2_per_dof",
-               "score": 1.214, "threshold": 1.4, "note": "the others explain the recording without it",
-               **chi2(1.01, 1.214)}  # fmt: skip
-    needed = without | {"effects": ("dead_time",), "decision": "accepted", "score": 80.0, "note": ""}
+def test_an_effect_without_which_the_others_explain_the_recording_is_removed_for_that_reason() -> None:
+    without = {"move": "remove", "effects": ("bus_sag",), "measure": "chi2_per_dof", "score": 1.214, "threshold": 1.4,
+               "note": "the others explain the recording without it", **chi2(1.01, 1.214)}  # fmt: skip
+    needed = without | {"effects": ("dead_time",), "decision": "rejected", "note": ""} | chi2(1.214, 1.9)
     assert moves(without, needed) == [
-        "1. bus sag is in the model and no cause, because the others explain the recording without it: chi2 is 1.214 "
-        "then, and explained allows up to 1.4",
-        "2. dead time is a cause: without it chi2 is 80, where explained allows up to 1.4",
+        "1. bus sag is removed (the others explain the recording without it): chi2 1.01 → 1.214, where "
+        "explained allows up to 1.4",
+        "2. dead time stays: without it chi2 is 1.9, where explained allows up to 1.4",
     ]
 
 
