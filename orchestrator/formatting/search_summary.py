@@ -39,7 +39,7 @@ def search_summary(events: Sequence[SearchEvent]) -> list[str]:
     model: set[str] = set()
     found_together: set[str] = set()
     stated: set[str] = set()
-    repeated = _repeated_ties(events)
+    repeated = _repeated(events)
     for event in events:
         if event.move == "screen":
             tried = []
@@ -164,16 +164,25 @@ def _exchanged(event: SearchEvent) -> str | None:
     return f"{new} in place of {old}: {_BY[event.data]} does not separate the two, {sizes}"
 
 
-def _repeated_ties(events: Sequence[SearchEvent]) -> set[int]:
-    """Steps that changed nothing and found a tie of two effects that another step states, in either direction."""
+def _repeated(events: Sequence[SearchEvent]) -> set[int]:
+    """Steps that changed nothing and found what another step states: a tie of two effects, or what one absent leaves.
+
+    A tie is stated where the model changed, else last; an absence where its limit is known, else first.
+    """
     ties: dict[frozenset[str], list[SearchEvent]] = {}
+    absences: dict[tuple[object, ...], list[SearchEvent]] = {}
     for event in events:
         if event.move in ("swap", "merge") and event.note:
             ties.setdefault(frozenset(event.effects), []).append(event)
+        elif event.move == "remove" and _is_kept(event):
+            absences.setdefault((event.effects, number(event.chi2_after, 4)), []).append(event)
     repeated = set()
     for tied in ties.values():
         stated = next((event for event in tied if event.decision == "accepted"), tied[-1])
         repeated |= {event.step for event in tied if event.decision != "accepted" and event is not stated}
+    for same in absences.values():
+        stated = next((event for event in same if event.measure == "chi2_per_dof"), same[0])
+        repeated |= {event.step for event in same if event is not stated}
     return repeated
 
 

@@ -122,6 +122,10 @@ def test_an_effect_without_which_the_others_explain_the_recording_is_removed_for
         "explained allows up to 1.4",
         "2. dead time stays: without it chi2 is 1.9, where explained allows up to 1.4",
     ]
+    by_evidence = needed | {"measure": "log_evidence", "threshold": -16.0}
+    assert moves(by_evidence, needed, by_evidence) == [
+        "2. dead time stays: without it chi2 is 1.9, where explained allows up to 1.4"
+    ]
 
 
 def test_a_form_counts_where_it_matters_and_every_change_of_noise_and_map() -> None:
