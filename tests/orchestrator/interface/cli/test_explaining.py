@@ -55,7 +55,10 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     out = capsys.readouterr().out
     first, second, *_ = out.splitlines()
     assert first.startswith(f"{diagnosed}: explained")
-    assert second == "  chi2 per degree of freedom of the fitted stages fell from 900 to 1.01; noise alone makes up to 1.08."
+    assert (
+        second
+        == "  chi2 per degree of freedom of the fitted stages fell from 900 to 1.01; noise alone makes up to 1.08."
+    )
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move recording effects gain needed chi2 outcome" in rows
     assert "2 add whole dead time 812 nat 16 nat – accepted" in rows
