@@ -221,7 +221,7 @@ def _print_refit(report: AddReport, path: Path, effects: Path | None, out: Path 
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
-    say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
+    say_table(("model", "chi2", "error fitted", "held out", "current error"), ladder_rows(report.ladder))
     immaterial = report.minor if isinstance(report, DiagnosisReport) else ()
     rows = [(effect.name, *row) for effect in (*report.effects, *immaterial) for row in parameter_rows(effect)]
     if rows:

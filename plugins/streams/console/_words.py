@@ -43,7 +43,7 @@ def stage_ending(stage: StageProgress, seconds: float) -> str | None:
 
 def step_line(step: DiagnosisStep) -> tuple[str, str]:
     """A rung of the ladder: what it added, and chi2, rms and held-out rms."""
-    misfit = f"chi2 {number(step.chi2, 3):>7}  {quantity(step.rms_v, 'V'):>8}"
+    misfit = f"chi2 {number(step.chi2, 3):>7}  fitted {quantity(step.rms_v, 'V'):>8}"
     held = "" if step.heldout_rms_v is None else f"  held out {quantity(step.heldout_rms_v, 'V'):>8}"
     return rung_name(step.added, step.index).ljust(24), misfit + held
 

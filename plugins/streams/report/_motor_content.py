@@ -78,7 +78,7 @@ def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | Non
 
 
 def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
-    """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
+    """By copper's coefficient, from the model's value before any heat, or else from the first reading."""
     ambient_c = None if material.record is None else material.record.procedure.about.ambient_c
     logged_c = next(iter(material.paths.temperature_c[:, 1]), None)
     if ambient_c is not None:
@@ -92,7 +92,8 @@ def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
             "`temperature` in the import's mapping names a logged one" if is_import else "`run --ambient 23` stores it"
         )
         why = f"assuming {ROOM_C:g} °C when the run began, as its temperature is not known; {how}"
-    cold = estimate.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (start_c - 20.0))
+    start_ohm = estimate.value_ohm if estimate.is_of_model else estimate.first_ohm
+    cold = start_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (start_c - 20.0))
     return f"{quantity(cold, 'ohm', 4)}, {why}"
 
 

@@ -76,8 +76,8 @@ def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPat
     assert printed(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
         "comparison: the saturated model, over all stages: error 1.73 V rms, noise floor 3.45 mV, chi2 54890; "
         "worst in resistance-022: 1.48 V rms, noise floor there 440 µV",
-        "the model alone           chi2    5489    300 mV  held out   350 mV",
-        "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
+        "the model alone           chi2    5489  fitted   300 mV  held out   350 mV",
+        "+ dead time               chi2    1.02  fitted   4.1 mV  held out   4.2 mV",
         "diagnosis: explained",
         "where it fails      worst in resistance-002: 1480 mV rms",
         "what it looks like  An odd step in each phase current.",

@@ -140,9 +140,16 @@ def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Ma
     procedure = record.procedure.model_copy(update={"about": About(ambient_c=45.0)})
     warm = Material(**{**vars(material), "record": record.model_copy(update={"procedure": procedure})})
     assert material.estimates is not None
-    assert material.estimates.resistance is not None
-    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_COEFFICIENT_PER_K)
-    assert lines(warm)["R_s at 20 °C"].startswith(f"{cold:.4g} Ω")
+    read = material.estimates.resistance
+    assert read is not None
+    assert not read.is_of_model
+    to_20_c = 1.0 / (1.0 + 25.0 * COPPER_COEFFICIENT_PER_K)
+    assert lines(warm)["R_s at 20 °C"].startswith(f"{read.first_ohm * to_20_c:.4g} Ω")
+    # A model's R_s is that of the cold winding; by the first reading a current has warmed it.
+    remark = Remark.of("model.of_the_model", "by the model")
+    of_model = read.model_copy(update={"value_ohm": 0.99 * read.first_ohm, "remarks": (remark,)})
+    fitted = replace(warm, estimates=material.estimates.model_copy(update={"resistance": of_model}))
+    assert lines(fitted)["R_s at 20 °C"].startswith(f"{0.99 * read.first_ohm * to_20_c:.4g} Ω")
 
 
 @pytest.mark.slow
