@@ -148,7 +148,9 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/first dead_time")
+@commands.command(
+    "add", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench add runs/first NAME, with a name of `fluxbench effects`"
+)
 def add_command(
     recording: RecordingArgument,
     effect: Annotated[
@@ -171,7 +173,11 @@ def add_command(
     return add(recording, effect, model, effects, out, as_json)
 
 
-@commands.command("remove", rich_help_panel=DIAGNOSE, epilog="Example: fluxbench remove runs/first dead_time")
+@commands.command(
+    "remove",
+    rich_help_panel=DIAGNOSE,
+    epilog="Example: fluxbench remove runs/first NAME, with a name that `add` or `diagnose` printed",
+)
 def remove_command(
     recording: RecordingArgument,
     effect: Annotated[str, typer.Argument(help="Name of an effect of the model.", metavar="NAME")],

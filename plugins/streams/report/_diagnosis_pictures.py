@@ -82,6 +82,13 @@ def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
     yield Picture("The law that was learned", caption, f"data:image/svg+xml;base64,{encoded}")
 
 
+TAKEN_UP = (
+    "Enlarged: the effects that were added adapt to what is still missing. After a step in all phases, a slope that "
+    "differs from phase to phase leaves steps of both signs."
+)
+"""What a residual beside fitted effects shows."""
+
+
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
     gain = (
         ""
@@ -104,6 +111,7 @@ def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
         _put_back(before, after),
         _pwm(after),
         _hidden_in_resistance(before, after),
+        "" if before is after or not panels.enlarged else TAKEN_UP,
     ]
     yield Picture(
         "Residual against each phase's own current",

@@ -33,7 +33,7 @@ def test_help_of_a_refit_says_where_names_are_from_what_is_rewritten_and_what_un
     words = " ".join(capsys.readouterr().out.split())
     assert "rewrites model.json and the report" in words
     assert f"`fluxbench {back} RECORDING NAME`" in words
-    assert f"Example: fluxbench {command} runs/first dead_time" in words
+    assert f"Example: fluxbench {command} runs/first NAME" in words
 
 
 def test_quiet_has_one_meaning(capsys: pytest.CaptureFixture[str]) -> None:

@@ -27,7 +27,10 @@ from orchestrator.interface.cli._usage import EXAMPLE
         ("mystery four", "NUMBER: expected a whole number, got 'four'; for example: fluxbench mystery 4"),
         ("mystery", "NUMBER is missing; for example: fluxbench mystery 4"),
         ("compare", "RECORDING is missing; for example: fluxbench compare runs/first --model saturated"),
-        ("add runs/first", "NAME is missing; for example: fluxbench add runs/first dead_time"),
+        (
+            "add runs/first",
+            "NAME is missing; for example: fluxbench add runs/first NAME, with a name of `fluxbench effects`",
+        ),
         ("campaign a.yaml", "--out is missing; for example: fluxbench campaign campaign.yaml --out power"),
         ("runs --limit x", "--limit: expected a whole number, got 'x'; for example: --limit 10"),
         ("run demo --rounds 0", "--rounds: expected a number from 1 on, got '0'; for example: --rounds 1"),

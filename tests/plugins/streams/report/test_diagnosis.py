@@ -278,6 +278,9 @@ def test_pictures_after_are_drawn_enlarged_and_say_their_sign_and_what_r_s_took(
     )
     assert f"R_s where the winding is coldest is {before_ohm} before and {after_ohm} after" in phases.caption
     assert "is put back" in phases.caption
+    assert "a slope that differs from phase to phase leaves steps" in phases.caption
+    (alone,) = (p for p in step_pictures(after, after) if p.title == "Residual against each phase's own current")
+    assert "leaves steps" not in alone.caption
 
 
 @pytest.mark.usefixtures("undrawn")
