@@ -28,8 +28,6 @@ from protocols import EffectParameter, FoundEffect, JointEntry, ParameterValue, 
 
 MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
 """Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
-LINEAR_MARGIN: float = 2.0
-"""Factor of chi2 by which the linear estimate of chi2 without an effect may exceed the refitted one."""
 IMITABLE: str = "what is left could imitate it"
 MAX_SHARE_OF_ERROR: float = 10.0
 """Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
@@ -51,7 +49,7 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     limit = _imitable_share(first, whole)
     below = tuple(n for n in names if n in sizes and sizes[n].share <= limit)
     causes = [n for n in names if n not in below]
-    if (smaller := _without_dispensable(state, causes)) is not None:
+    if (smaller := _strongest_alone(state, causes)) is not None:
         return plain_ladder(smaller, steps)
     for name in below:
         _record_name(state, name, sizes[name], limit, taken=False, note=IMITABLE)
@@ -98,7 +96,7 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     notes |= {n: IMITABLE for n in order if sizes[n].share <= imitable}
     clear = [n for n in order if n not in notes]
     causes = [n for n in clear if sizes[n].share > min_share or is_material(sizes[n], whole)]
-    if (smaller := _without_dispensable(state, causes)) is not None:
+    if (smaller := _strongest_alone(state, causes)) is not None:
         return build_ladder(smaller, steps)
     for name in order:
         _record_name(state, name, sizes[name], min_share, taken=name in causes, note=notes.get(name, ""))
@@ -109,26 +107,24 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     )
 
 
-def _without_dispensable(state: SearchState, causes: Sequence[str]) -> SearchState | None:
-    """The state without as many causes as it can lose, the weakest first, and still explain the recording.
+def _strongest_alone(state: SearchState, causes: Sequence[str]) -> SearchState | None:
+    """The state with the strongest of several causes alone, where that explains the recording; None elsewhere.
 
-    Beside a large effect a small one may be that one's other form, however much evidence there is for it, and two that
-    balance each other turn the map. None where all are needed.
+    Beside a large effect small ones may be that one's other form, however much evidence there is for them, and two that
+    balance each other turn the map.
     """
-    fit, gone = state.fit, list[str]()
+    fit = state.fit
     limit = 1.0 + fit.criteria.verdict.explained_excess_chi2
-    rise = {a.name: loss_without(fit, a, a.candidate.amplitudes) / fit.dof for a in fit.model.active}
-    for name in sorted(causes, key=lambda name: rise[name]):
-        if len(gone) + 1 == len(causes) or state.fit.chi2_per_dof + rise[name] > LINEAR_MARGIN * limit:
-            break
-        without = state.minimum(fit.model.with_active([a for a in fit.model.active if a.name not in [*gone, name]]))
-        chi2 = without.chi2_per_dof
-        note = "the others explain the recording without it" if chi2 <= limit else ""
-        state.record("remove", (name,), without, chi2, limit, measure="chi2_per_dof", taken=chi2 <= limit, note=note)
-        if chi2 <= limit:
-            gone.append(name)
-            state = replace(state, fit=without, view=None, refused=(*state.refused, name))
-    return state if gone else None
+    if len(causes) < 2 or fit.chi2_per_dof > limit:
+        return None
+    rise = {a.name: loss_without(fit, a, a.candidate.amplitudes) for a in fit.model.active}
+    strongest = max(causes, key=lambda name: rise[name])
+    gone = tuple(name for name in causes if name != strongest)
+    alone = state.minimum(fit.model.with_active([a for a in fit.model.active if a.name not in gone]))
+    chi2 = alone.chi2_per_dof
+    note = "the strongest one alone explains the recording" if chi2 <= limit else ""
+    state.record("remove", gone, alone, chi2, limit, measure="chi2_per_dof", taken=chi2 <= limit, note=note)
+    return replace(state, fit=alone, view=None, refused=(*state.refused, *gone)) if chi2 <= limit else None
 
 
 def _rungs(

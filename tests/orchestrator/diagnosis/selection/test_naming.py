@@ -73,7 +73,7 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
 
 
 @pytest.mark.parametrize(("bias_v", "is_cause"), [(0.0005, False), (0.003, True)])
-def test_an_effect_without_which_the_others_explain_the_recording_is_no_cause(bias_v: float, is_cause: bool) -> None:
+def test_an_effect_beside_one_that_explains_the_recording_alone_is_no_cause(bias_v: float, is_cause: bool) -> None:
     setup, bare, whole = _fitted(bias_v, [VoltageBias(), CurrentGainMismatch()])
     joint = _ladder(setup, bare, whole)
     one_by_one = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, gains=log_bayes_factors(whole))
