@@ -99,6 +99,7 @@ def source_values(
         "name": _comment(motor.name),
         "sources": _comment(", ".join(compensation.sources)),
         "left_out": [_comment(f"{left.name}: {left.reason}") for left in compensation.left_out],
+        "ends_wb": f"{references.psi_limit_wb[0]:.4g}",
         "basis": [_comment(in_ascii(line)) for line in basis],
         "tables": _tables(references, control, compensation),
     }

@@ -156,6 +156,22 @@ def left_flux(limits: DriveLimits, r_s: float, current_2: float, torque_nm: floa
     return math.sqrt(max(volts**2 - r_s**2 * current_2 - cross, 0.0)) / abs(omega)
 
 
+def test_the_header_states_the_flux_at_which_the_references_end_and_below_it_the_torque_falls_to_zero(
+    tables: Tables, drive: Functions
+) -> None:
+    ends_wb = float(tables.references.psi_limit_wb[0])
+    header = " ".join(tables.files()["motor_drive.h"].decode("ascii").replace("\n *", "").split())
+    assert f"less flux than {ends_wb:.4g} Wb" in header
+    r_s = tables.control.r_s_ohm
+    speed = [
+        flux_limit(LIMITS, r_s, LIMITS.current_a, 1.0) / (part * ends_wb)
+        for part in (1.01, 1.0 - 1.01 * VOLTAGE_RESERVE)
+    ]
+    at_end, beyond = (drive.number("torque_limit_nm", float(w), LIMITS.bus_v, r_s) for w in speed)
+    assert at_end > 0.0
+    assert beyond == 0.0
+
+
 def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Functions) -> None:
     rng = np.random.default_rng(3)
     torque, speed, bus, ohm = (
