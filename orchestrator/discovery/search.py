@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -334,7 +335,11 @@ def _steps(what: str, count: int, tell: Callable[[str], None]) -> Iterator[Calla
     for k in range(count):
         each_s = (time.monotonic() - began) / k if k else None
         left = "" if each_s is None else f", {duration(each_s * (count - k))} left of these"
-        yield lambda text, k=k, left=left: tell(f"{what} {k + 1} of {count}{left}: {text}")  # type: ignore[misc]
+        yield partial(_tell_step, tell, f"{what} {k + 1} of {count}{left}")
+
+
+def _tell_step(tell: Callable[[str], None], step: str, text: str) -> None:
+    tell(f"{step}: {text}")
 
 
 def _located(setup: DiagnosisSetup, fit: Fit, hypothesis: Hypothesis, step: FormFit) -> FormFit:

@@ -141,7 +141,7 @@ def _removed(event: SearchEvent) -> str | None:
         why = f" ({event.note})" if event.note else ", which the data do not require"
         return f"{_names(event)} {_is(event)} removed{why}: {_course(event)}{allowed}"
     return (
-        f"{_names(event)} {_stays(event)}: without it chi2 is {number(event.chi2_after, 4)}{allowed}"
+        f"{_names(event)} {_stays(event)}: without {'it' if len(event.effects) == 1 else 'them'} chi2 is {number(event.chi2_after, 4)}{allowed}"
         if _is_kept(event)
         else None
     )

@@ -320,9 +320,11 @@ def with_local_roughness(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit
     """Refit a fine map as rough as it is from place to place, where that gains evidence."""
     if not has_fine_grid(fit):
         return fit
-    roughness = estimated_roughness(fit)
-    local = _fit_on_map(fitter, _on_grid(setup, fit, fit.model.space.grid, roughness), fit)
-    return max(local, fit, key=map_log_evidence)
+    return max(_with_estimated_roughness(setup, fitter, fit), fit, key=map_log_evidence)
+
+
+def _with_estimated_roughness(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    return _fit_on_map(fitter, _on_grid(setup, fit, fit.model.space.grid, estimated_roughness(fit)), fit)
 
 
 def with_sharpest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -339,7 +341,7 @@ def with_sharpest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     trials = [best]
     for grid in _finest_grids(setup, fit):
         finer = _fit_on_map(fitter, _on_grid(setup, best, grid, space.roughness), best)
-        trials.append(_fit_on_map(fitter, _on_grid(setup, finer, grid, estimated_roughness(finer)), finer))
+        trials.append(_with_estimated_roughness(setup, fitter, finer))
     finest = max(trials, key=map_log_evidence)
     return fit if finest is best else fitter.relinearise(finest.model.with_active(active), finest.linearisation)
 

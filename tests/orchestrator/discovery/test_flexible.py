@@ -306,11 +306,11 @@ def test_steps_are_told_in_words_with_the_time_that_is_left(monkeypatch: pytest.
     clock = iter([0.0, 3.0, 8.0])
     monkeypatch.setattr(search, "time", SimpleNamespace(monotonic=lambda: next(clock)))
     law = Hypothesis(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, CurveBasis(0.0, TOP, 9, "odd", np.inf), 0.01)
-    told: list[str] = []
-    for step in search._steps("curve", 3, told.append):
+    progress: list[str] = []
+    for step in search._steps("curve", 3, progress.append):
         step(in_words(law))
     words = "a voltage that each leg loses, over its own current, in phase a alone"
-    assert told == [
+    assert progress == [
         f"curve 1 of 3: {words}",
         f"curve 2 of 3, 6 s left of these: {words}",
         f"curve 3 of 3, 4 s left of these: {words}",

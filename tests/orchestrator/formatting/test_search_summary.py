@@ -113,15 +113,18 @@ def test_it_says_what_kept_an_effect_and_why_none_is_missing() -> None:
     ]
 
 
-def test_an_effect_without_which_the_others_explain_the_recording_is_removed_for_that_reason() -> None:
+def test_effects_beside_one_that_explains_the_recording_alone_are_removed_for_that_reason() -> None:
     without = {"move": "remove", "effects": ("bus_sag",), "measure": "chi2_per_dof", "score": 1.214, "threshold": 1.4,
-               "note": "the others explain the recording without it", **chi2(1.01, 1.214)}  # fmt: skip
+               "note": "the strongest one alone explains the recording", **chi2(1.01, 1.214)}  # fmt: skip
     needed = without | {"effects": ("dead_time",), "decision": "rejected", "note": ""} | chi2(1.214, 1.9)
     assert moves(without, needed) == [
-        "1. bus sag is removed (the others explain the recording without it): chi2 1.01 → 1.214, where "
+        "1. bus sag is removed (the strongest one alone explains the recording): chi2 1.01 → 1.214, where "
         "explained allows up to 1.4",
         "2. dead time stays: without it chi2 is 1.9, where explained allows up to 1.4",
     ]
+    both = needed | {"effects": ("dead_time", "hysteresis")}
+    (line,) = moves(both)
+    assert line.endswith("stay: without them chi2 is 1.9, where explained allows up to 1.4")
     by_evidence = needed | {"measure": "log_evidence", "threshold": -16.0}
     assert moves(by_evidence, needed, by_evidence) == [
         "2. dead time stays: without it chi2 is 1.9, where explained allows up to 1.4"
