@@ -140,11 +140,10 @@ def _removed(event: SearchEvent) -> str | None:
     if event.decision == "accepted":
         why = f" ({event.note})" if event.note else ", which the data do not require"
         return f"{_names(event)} {_is(event)} removed{why}: {_course(event)}{allowed}"
-    return (
-        f"{_names(event)} {_stays(event)}: without {'it' if len(event.effects) == 1 else 'them'} chi2 is {number(event.chi2_after, 4)}{allowed}"
-        if _is_kept(event)
-        else None
-    )
+    if not _is_kept(event):
+        return None
+    without = "it" if len(event.effects) == 1 else "them"
+    return f"{_names(event)} {_stays(event)}: without {without} chi2 is {number(event.chi2_after, 4)}{allowed}"
 
 
 def _is_kept(event: SearchEvent) -> bool:
